@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import mujoco
+import numpy as np
 import pandas as pd
 import pytest
 import yaml
@@ -22,6 +23,7 @@ from bo_sysid.diagnosis.answer.notes import (
     unsought_sentence,
 )
 from bo_sysid.diagnosis.gather import gather
+from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.windows.evidence import make_evidence
 from bo_sysid.diagnosis.windows.forecast import AHEAD
 from bo_sysid.errors import UserError
@@ -142,6 +144,22 @@ def test_recordings_of_other_rates_are_told_with_their_intervals() -> None:
     channels = arm().qpos_channels
     again = replace(fast, name="again")
     assert rates_note([fast, again], channels) == rates_note([], channels) == ()
+
+
+def test_windows_of_a_slow_log_last_as_long_as_those_of_a_fast_one() -> None:
+    fast, slow = record(duration=3.0), record(seed=1, duration=2.0, sampling=0.02)
+    evidence = make_evidence(arm(), [fast, slow])
+    windows = windows_of(evidence, 150, 0.002).windows  # 0.3 s of the fast one
+    last = (windows.step[:, -1] + windows.fraction[:, -1]) * windows.timestep
+    np.testing.assert_allclose(last, 0.3, atol=1e-9)
+    assert set(windows.recording) == {0, 1}
+
+
+def test_a_slow_log_that_holds_windows_is_not_left_out() -> None:
+    fast, slow = record(duration=3.0), record(seed=1, duration=1.0, sampling=0.02)
+    assert make_evidence(arm(), [fast, slow]).too_short == ()
+    brief = record(seed=1, duration=0.2, sampling=0.02)
+    assert make_evidence(arm(), [fast, brief]).too_short == ("arm 1",)
 
 
 def test_bounds_that_leave_out_the_model_are_said(tmp_path: Path) -> None:

@@ -351,6 +351,24 @@ def test_a_finer_simulation_sees_the_same_instants(arm: Model) -> None:
     np.testing.assert_allclose(fine.ctrl[:, ::4], windows.ctrl)
 
 
+def test_recordings_of_other_rates_have_windows_that_last_as_long(arm: Model) -> None:
+    """The slow one is cut as by itself; at what is left of the horizon nothing is observed."""
+    fast = simulated(arm)
+    slow = fast
+    for name in fast.channels:
+        slow = kept(slow, name, lambda t: slice(0, len(t), 10))
+    windows = cut(arm, [fast, slow], horizon=[50, 5])
+    by_itself = cut(arm, [slow], horizon=5)
+    own = windows.recording == 1
+    assert windows.observed.shape[:2] == (8 + len(by_itself), 50)
+    assert windows.steps == by_itself.steps == 50
+    np.testing.assert_array_equal(windows.observed[own, :5], by_itself.observed)
+    np.testing.assert_array_equal(windows.step[own, :5], by_itself.step)
+    assert np.isnan(windows.observed[own, 5:]).all()
+    assert (windows.step[own, 5:] == 50).all()
+    assert np.isfinite(windows.observed[~own]).all()
+
+
 def test_what_the_model_needs_and_the_log_lacks_is_named(arm: Model) -> None:
     whole = simulated(arm)
     channels = {n: c for n, c in whole.channels.items() if n != "qpos.elbow"}

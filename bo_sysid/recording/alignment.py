@@ -152,7 +152,7 @@ def interval_of(recording: Recording, channels: Collection[str]) -> float:
 
 
 def rates_note(recordings: Sequence[Recording], channels: Collection[str]) -> tuple[str, ...]:
-    """Return what recordings of different rates mean for windows, in words."""
+    """Return what recordings of different rates mean for windows of one number of samples."""
     every = {r.name: interval_of(r, channels) for r in recordings}
     every = {name: dt for name, dt in every.items() if np.isfinite(dt)}
     slow, fast = (f(every, key=every.__getitem__, default="") for f in (max, min))
@@ -162,6 +162,25 @@ def rates_note(recordings: Sequence[Recording], channels: Collection[str]) -> tu
         f"{fast} is sampled every {every[fast]:.3g} s and {slow} every {every[slow]:.3g} s: "
         "windows have as many samples in each, and so are of different length.",
     )
+
+
+def instants_each(
+    horizon: int, interval: float, recordings: Sequence[Recording], channels: Collection[str]
+) -> list[int]:
+    """Return how many instants of each recording last as long as a window usually does.
+
+    Args:
+        horizon: instants of a usual window.
+        interval: usual one in [s] from one instant to the next.
+        recordings: of which those of another rate have another number.
+        channels: by name, whose samples are instants.
+    """
+    each = []
+    for r in recordings:
+        ratio = interval_of(r, channels) / interval
+        other = ratio > OTHER_RATE or ratio < 1 / OTHER_RATE
+        each.append(instants_in(horizon * interval, [r], channels) if other else horizon)
+    return each
 
 
 def instants_in(length: float, recordings: Sequence[Recording], channels: Collection[str]) -> int:

@@ -34,7 +34,7 @@ def cut(
     model: Model,
     recordings: Sequence[Recording],
     *,
-    horizon: int,
+    horizon: int | Sequence[int],
     stride: int | None = None,
     timestep: float | None = None,
     signals: Sequence[str] = (),
@@ -43,13 +43,16 @@ def cut(
 ) -> Windows:
     """Cut recordings into windows of `horizon` recorded instants.
 
+    Recordings of different rates may have horizons of their own. The shorter windows stay at their
+    last instant then, and nothing is observed there any more.
+
     Controls are held between their stamps and averaged over each simulation step; measurements
     are never moved or invented: predictions will be compared at the recorded instants.
 
     Args:
         model: the model that will predict.
         recordings: what was recorded.
-        horizon: number H of instants after each start.
+        horizon: number H of instants after each start, or one number for each recording.
         stride: instants from one start to the next; by default `horizon` (disjoint windows).
         timestep: of the simulation in [s]; by default the model's.
         signals: further held channels that laws read; `ELAPSED` is the time since the recording
@@ -63,20 +66,27 @@ def cut(
     """
     compiled = model.compile(room_for_delays(model, parameters), timestep=timestep)
     layout = Layout.of(model, compiled)
-    cutter = _Cutter(
-        model, compiled, layout, horizon, stride or horizon, tuple(signals), tuple(controlled)
-    )
-    pieces = [cutter.cut(r, i) for i, r in enumerate(recordings)]
+    horizons = [horizon] * len(recordings) if isinstance(horizon, int) else horizon
+    pieces = []
+    for number, (recording, own) in enumerate(zip(recordings, horizons, strict=True)):
+        cutter = _Cutter(
+            model, compiled, layout, own, stride or own, tuple(signals), tuple(controlled)
+        )
+        pieces.append(cutter.cut(recording, number))
     channels = sorted(set().union(*(p.channels for p in pieces)), key=_order(layout))
     steps = max(p.steps for p in pieces)
-    joined = _joined([_widened(p, channels, steps) for p in pieces], tuple(channels), cutter.dt)
+    joined = _joined(
+        [_widened(p, channels, steps, max(horizons)) for p in pieces],
+        tuple(channels),
+        float(compiled.opt.timestep),
+    )
     sources = tuple(recordings) if compiled.na and set_activations(model, parameters) else ()
     return replace(joined, sources=sources)
 
 
 @dataclass(frozen=True)
 class _Cutter:
-    """Cuts one recording after the other; see `cut` for what it takes."""
+    """Cuts a recording; see `cut` for what it takes."""
 
     model: Model
     compiled: mujoco.MjModel
@@ -293,11 +303,12 @@ def _order(layout: Layout) -> Callable[[str], int]:
     return rank.__getitem__
 
 
-def _widened(windows: Windows, channels: list[str], steps: int) -> Windows:
-    """Return the windows with all channels and a common number of steps (the last one held)."""
-    extra = steps - windows.steps
-    observed = np.full((*windows.observed.shape[:2], len(channels)), np.nan)
-    observed[..., [channels.index(n) for n in windows.channels]] = windows.observed
+def _widened(windows: Windows, channels: list[str], steps: int, horizon: int) -> Windows:
+    """Return the windows with all channels, and as many steps and instants (the last ones held)."""
+    extra, (count, own, _) = steps - windows.steps, windows.observed.shape
+    observed = np.full((count, horizon, len(channels)), np.nan)
+    observed[:, :own, [channels.index(n) for n in windows.channels]] = windows.observed
+    held = ((0, 0), (0, horizon - own))
     return replace(
         windows,
         ctrl=np.pad(windows.ctrl, ((0, 0), (0, extra), (0, 0)), mode="edge"),
@@ -305,6 +316,8 @@ def _widened(windows: Windows, channels: list[str], steps: int) -> Windows:
             n: np.pad(s, ((0, 0), (0, extra)), mode="edge") for n, s in windows.signals.items()
         },
         observed=observed,
+        step=np.pad(windows.step, held, mode="edge"),
+        fraction=np.pad(windows.fraction, held, mode="edge"),
     )
 
 

@@ -178,7 +178,7 @@ def _fits(
 ) -> tuple[list[dict[str, Any]], pd.DataFrame]:
     compared = {*evidence.model.qpos_channels, *evidence.sigma}
     lasting = _lasting(recordings, LONGER)
-    horizon = max(instants_in(LONGER, lasting, compared), 4)
+    horizon = [max(instants_in(LONGER, [r], compared), 4) for r in lasting]
     problem = cut_problem(
         evidence.model, evidence.machine, lasting, evidence.sigma, (), horizon=horizon,
         timestep=outcome.timestep, engine=evidence.engine, laws=evidence.laws,

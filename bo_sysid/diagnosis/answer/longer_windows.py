@@ -37,10 +37,11 @@ def shows_more(evidence: Evidence, hypothesis: Hypothesis, timestep: float) -> f
     """
     compared = {*evidence.model.qpos_channels, *evidence.sigma}
     try:
+        each = [max(instants_in(LONGER, [r], compared), 4) for r in evidence.recordings]
         problem = cut_problem(
             evidence.model, evidence.machine, evidence.recordings, evidence.sigma, (),
-            horizon=max(instants_in(LONGER, evidence.recordings, compared), 4), timestep=timestep,
-            engine=evidence.engine, laws=evidence.laws, input_noise=evidence.input_noise,
+            horizon=each, timestep=timestep, engine=evidence.engine,
+            laws=evidence.laws, input_noise=evidence.input_noise,
         )  # fmt: skip
     except RecordingError:  # none is that long
         return 0.0

@@ -41,7 +41,7 @@ def windows_of(evidence: Evidence, horizon: int, step: float, everything: bool =
 
     Args:
         evidence: the recordings and the nominal model.
-        horizon: instants in a window.
+        horizon: instants in a window, of a recording of the usual rate; others last as long.
         step: of the simulation in [s].
         everything: for the final fits, which take many more than the search.
     """
@@ -57,7 +57,7 @@ def windows_of(evidence: Evidence, horizon: int, step: float, everything: bool =
         evidence.recordings,
         evidence.sigma,
         evidence.nuisances,
-        horizon=horizon,
+        horizon=evidence.horizons(horizon, LEAST),
         keep_every=keep_every,
         timestep=step,
         engine=evidence.engine,

@@ -60,7 +60,7 @@ def missing_force(evidence: Evidence, repaired: Hypothesis, timestep: float) -> 
         evidence.recordings,
         evidence.sigma,
         (),
-        horizon=horizon,
+        horizon=evidence.horizons(horizon, _LEAST),
         keep_every=max(int(np.ceil(whole / horizon / _PIECES)), 1),
         timestep=timestep,
         engine=evidence.engine,

@@ -26,7 +26,7 @@ def cut_problem(
     sigma: dict[str, float],
     nuisances: Sequence[Candidate],
     *,
-    horizon: int,
+    horizon: int | Sequence[int],
     keep_every: int = 1,
     timestep: float | None = None,
     engine: Engine,
@@ -42,7 +42,8 @@ def cut_problem(
         recordings: to cut.
         sigma: noise of each observed channel; others are not observed.
         nuisances: the study's parameters.
-        horizon: instants in a window, of observed channels and positions.
+        horizon: instants in a window, of observed channels and positions; one number for all
+            recordings, or one for each.
         keep_every: keep each so-many-th of the disjoint windows.
         timestep: of the simulation in [s]; by default the model's.
         engine: simulates.

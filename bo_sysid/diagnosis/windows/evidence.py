@@ -17,7 +17,7 @@ from bo_sysid.mjcf.address import resolve
 from bo_sysid.mjcf.values import compiled_value
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
-from bo_sysid.recording.alignment import rates_note
+from bo_sysid.recording.alignment import instants_each
 from bo_sysid.simulation import Controller, Engine, ForceLaw
 
 CONTACT_WINDOW = 0.1
@@ -95,11 +95,16 @@ class Evidence:
                 f"are not compared{f', but in {whole}, of which half would go' if whole else ''}: "
                 "a late drive acts there on what was sent before, if anything was."
             )
-        return (
-            *notes,
-            *timing_note(self.recordings, self.sigma),
-            *rates_note(self.recordings, self.model.qpos_channels),
-        )
+        return (*notes, *timing_note(self.recordings, self.sigma))
+
+    def horizons(self, instants: int, least: int) -> list[int]:
+        """Return the instants of each recording in windows that last as long as so many usually do.
+
+        Recordings of another rate have more or fewer, `least` at least.
+        """
+        compared = {*self.model.qpos_channels, *self.sigma}
+        each = instants_each(instants, self.machine.sampling, self.recordings, compared)
+        return [h if h == instants else max(h, least) for h in each]
 
     def with_contact_of(self, recordings: Sequence[Recording]) -> "Evidence":
         """Return the same with the contact and the impacts of others, where it has none so far."""
@@ -205,7 +210,7 @@ def make_evidence(
     sigma = channel_noise(recordings, machine, noise or {})
     machine = replace(machine, impacts=shows_impacts(model, recordings, sigma))
     window = _window(machine)
-    lasting = _lasting(recordings, round(window / machine.sampling))
+    lasting = _lasting(recordings, round(window / machine.sampling), machine.sampling)
     offered = _observed(_once(model, candidates(wanted, machine)), machine, sigma)
     return Evidence(
         model,
@@ -224,13 +229,23 @@ def make_evidence(
     )
 
 
-def _lasting(recordings: Sequence[Recording], instants: int) -> tuple[Recording, ...]:
-    """Return the recordings with positions at more than so many instants; all if none has."""
+def _lasting(
+    recordings: Sequence[Recording], instants: int, interval: float
+) -> tuple[Recording, ...]:
+    """Return the recordings that are longer than so many instants; all if none is.
 
-    def longest(recording: Recording) -> int:
-        return max((len(c.time) for c in recording.of_kind("qpos").values()), default=0)
-
-    return tuple(r for r in recordings if longest(r) > instants) or tuple(recordings)
+    Args:
+        recordings: of which some may be short.
+        instants: at the usual interval.
+        interval: that usual one in [s].
+    """
+    lasting = []
+    for recording in recordings:
+        positions = recording.of_kind("qpos")
+        longest = max((len(c.time) for c in positions.values()), default=0)
+        if longest > instants_each(instants, interval, [recording], positions)[0]:
+            lasting.append(recording)
+    return tuple(lasting or recordings)
 
 
 def _once(model: Model, all_of: Sequence[Candidate]) -> tuple[Candidate, ...]:
