@@ -241,7 +241,7 @@ def _lasting(
     """
     lasting = []
     for recording in recordings:
-        positions = recording.of_kind("qpos")
+        positions = {n: c for n, c in recording.channels.items() if n.startswith("qpos.")}
         longest = max((len(c.time) for c in positions.values()), default=0)
         if longest > instants_each(instants, interval, [recording], positions)[0]:
             lasting.append(recording)
