@@ -58,7 +58,8 @@ class Extent:
         high: upper bounds.
         grid: points at which the signature is taken where one linearisation does not serve
             (shapes such as a period or a speed, thresholds, delays); () means at the probe.
-        starts: further magnitudes from which a fit is begun, where the probe lies on a saddle.
+        starts: further magnitudes from which a fit is begun, where the probe lies on a saddle. NaN
+            keeps what is known of a magnitude.
         refine: factors by which shapes are varied once the effect is in the leading set.
         secants: magnitudes so large that they change the motion, as a friction that holds a joint;
             the response to them is simulated, not linearised.
@@ -90,7 +91,8 @@ class Extent:
             for v in vectors:
                 if len(v) != len(self.probe):
                     raise ValueError(f"{name} {v} has another length than probe {self.probe}")
-                if not all(map(math.isfinite, v)) and name not in ("low", "high"):
+                known = [a for a in v if not (name == "starts" and math.isnan(a))]
+                if not all(map(math.isfinite, known)) and name not in ("low", "high"):
                     raise ValueError(f"{name} {v} must be finite numbers")
         for low, high in zip(self.low, self.high, strict=True):
             if not low < high:

@@ -1,6 +1,7 @@
 """Gravity and the medium around the machine."""
 
 from collections.abc import Mapping
+from math import nan
 
 import mujoco
 import numpy as np
@@ -14,7 +15,7 @@ def _tilt_extent(site: Site, machine: Machine) -> Extent | None:
     if not np.any(machine.model.opt.gravity):
         return None
     # a planar machine feels one of the tilts only in second order: start off that saddle
-    return Extent((0.01, 0.01), (-0.6, -0.6), (0.6, 0.6), starts=((0.12, 0.01), (0.01, 0.12)))
+    return Extent((0.01, 0.01), (-0.6, -0.6), (0.6, 0.6), starts=((0.12, nan), (nan, 0.12)))
 
 
 def _tilts(x: Magnitudes, machine: Machine, site: Site) -> Mapping[str, tuple[float, str]]:

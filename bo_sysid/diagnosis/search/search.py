@@ -163,8 +163,8 @@ class Search:
         return self._in_gaps(made, effort) if across else made
 
     def _kept(self, fit: Fit, effort: Effort) -> Fit:
-        """Keep a fit, bettered by other orders of its filters and by what is known of its parts."""
-        kept = self._not_worse(self._in_turn(fit, effort), effort)
+        """Keep a fit, bettered from beside saddles, in other orders and from a set inside it."""
+        kept = self._not_worse(self._in_turn(self._off_saddles(fit, effort), effort), effort)
         self.fits[kept.key] = kept
         windows, instants = self.prepared.problem.windows.observed.shape[:2]
         sets = "set" if len(self.fits) == 1 else "sets"
@@ -218,6 +218,20 @@ class Search:
             if not better:
                 break
         return fit
+
+    def _off_saddles(self, fit: Fit, effort: Effort) -> Fit:
+        """Fit on from beside what acts in second order there: no slope leads away from it."""
+        best = fit
+        for k, c in enumerate(fit.members):
+            for other in c.off_saddles(fit.x[k]):
+                if clean(best) or best.rms > _HOPEFUL * self.least:
+                    return best
+                made = refit(
+                    self.frame, fit.members, [*best.x[:k], other, *best.x[k + 1 :]],
+                    groups=fit.groups, start=best.start, guess=best.hypothesis, effort=effort,
+                )  # fmt: skip
+                best = made if made.rss < best.rss else best
+        return best
 
     def _in_turn(self, fit: Fit, effort: Effort) -> Fit:
         """Fit what acts on one command in other orders as well; all are one set."""
@@ -290,8 +304,10 @@ class Search:
     def _other_magnitudes(
         self, members: Sequence[Candidate], x: Sequence[np.ndarray]
     ) -> list[list[np.ndarray]]:
-        found = []
-        for k, c in enumerate(members):
-            for s in () if c.effect.hidden else c.extent.starts:
-                found.append([*x[:k], np.array(s[: c.size], float), *x[k + 1 :]])
-        return found
+        """Return the same magnitudes with another start of one member in each."""
+        return [
+            [*x[:k], other, *x[k + 1 :]]
+            for k, c in enumerate(members)
+            if not c.effect.hidden
+            for other in c.other_starts
+        ]

@@ -14,6 +14,7 @@ from bo_sysid.mjcf.address import resolve
 from bo_sysid.parameters import Parameter
 
 _EXACT = 1e-6  # how far the magnitude of a discrete effect may lie from 1
+_OFF = 2.0  # times the size of a magnitude that a start must have, to lead away from it
 _DRY = "dry_friction"
 PARAMETER = "parameter"  # id of the pseudo-effects that stand for the study's parameters
 
@@ -133,8 +134,27 @@ class Candidate:
     @property
     def points(self) -> list[Float[np.ndarray, " l"]]:
         """Magnitudes from which a fit is begun where one linearisation does not serve."""
-        same = [s for s in self.extent.starts if np.array_equal(s[self.size :], self.shapes)]
-        return [self.point[: self.size], *(np.array(s[: self.size], float) for s in same)]
+        return [self.point[: self.size], *self.other_starts]
+
+    @property
+    def other_starts(self) -> list[Float[np.ndarray, " l"]]:
+        """Further magnitudes from which a fit is begun, whatever is known of them."""
+        return [s for s in self._starts if not np.isnan(s).any()]
+
+    def off_saddles(self, x: Float[np.ndarray, " l"]) -> list[Float[np.ndarray, " l"]]:
+        """Return magnitudes beside `x` to begin at, where no slope leads away from it."""
+        found = []
+        for start in self._starts:
+            kept = np.isnan(start)
+            if kept.any() and (np.abs(start) > _OFF * np.abs(x))[~kept].all():
+                found.append(np.where(kept, x, start))
+        return found
+
+    @property
+    def _starts(self) -> list[Float[np.ndarray, " l"]]:
+        """The starts of the same shapes."""
+        every = (np.array(s, float) for s in self.extent.starts)
+        return [s[: self.size] for s in every if np.array_equal(s[self.size :], self.shapes)]
 
     def full(self, x: Float[np.ndarray, " l"]) -> Float[np.ndarray, " k"]:
         """Return magnitudes and shapes in one vector, as the effect takes them."""
