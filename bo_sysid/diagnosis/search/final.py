@@ -52,7 +52,7 @@ def final_fits(evidence: Evidence, search: Search, horizon: int, step: float) ->
     final = Search.on(prepared, search.candidates, search.most, leader.hypothesis, search.doing)
     for f in chosen:
         if f.members:
-            _fitted_on_all(final, leader if f is order[0] else f, far=f.rms > _FAR * order[0].rms)
+            fitted_on_all(final, leader if f is order[0] else f, far=f.rms > _FAR * order[0].rms)
     _vary_presliding(final)
     if not (clean(final.best) or explains_little(final.best, final.nominal)):
         repeated_anew(final)
@@ -60,7 +60,7 @@ def final_fits(evidence: Evidence, search: Search, horizon: int, step: float) ->
     return final
 
 
-def _fitted_on_all(final: Search, fit: Fit, far: bool) -> None:
+def fitted_on_all(final: Search, fit: Fit, far: bool = False) -> None:
     """Fit a set on all windows; to the end only where it may lead there."""
     last = replace(FINAL, rival=final.least)
     for effort in (Effort(), last) if far else (last,):
@@ -85,7 +85,7 @@ def compare(final: Search, first: Fit) -> None:
     finished = {_effects(first)}
     for _ in range(_COMPARED):
         simulate_blocks(final)
-        leader = _leader(final)
+        leader = leading(final)
         if not leader.members or leader.key in done:
             return
         done.add(leader.key)
@@ -106,7 +106,7 @@ def prefer_static_friction(final: Search) -> None:
 
     Machines' friction holds; that of MuJoCo's default settings creeps.
     """
-    leader = _leader(final)
+    leader = leading(final)
     if not any(c.regularised for c in leader.members):
         return
     known = [final.known(c.usual) if c.regularised else c for c in leader.members]
@@ -273,7 +273,7 @@ def _lacks(fit: Fit, leader: Fit) -> bool:
     return part and fit.excess > leader.excess + _NEEDED**2
 
 
-def _leader(search: Search) -> Fit:
+def leading(search: Search) -> Fit:
     """Return the best of the fits whose every member is needed."""
     fits = list(search.fits.values())
     order = ranked(fits, search.prior)

@@ -12,6 +12,7 @@ from bo_sysid.diagnosis.search.moves import carried, explore, has_friction, with
 from bo_sysid.diagnosis.search.noisy_inputs import noisy_inputs
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.sharpen import sharpened
+from bo_sysid.diagnosis.search.simpler import at_a_part
 from bo_sysid.diagnosis.search.variants import creep
 from bo_sysid.diagnosis.search.window_lengths import (
     LEAST,
@@ -110,6 +111,7 @@ def _located(
         search, step = _explored(evidence, search, horizon, step)
         final = final_fits(evidence, search, horizon, _step_for(search, search.best, step))
     compare(final, search.best)
+    final = at_a_part(final)
     prefer_static_friction(final)
     simulate_blocks(final)
     fits, problem = list(final.fits.values()), final.prepared.problem

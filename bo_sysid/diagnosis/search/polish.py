@@ -14,12 +14,14 @@ from bo_sysid.diagnosis.windows.linear import Linear
 from bo_sysid.diagnosis.windows.problem import ROUGH, Problem
 from bo_sysid.diagnosis.windows.windowing import Prepared, linearise_at_best_starts, prepare
 
+CURVED = 0.5
+"""Size in [sigma] of the time-step correction from which a share of it may not be enough."""
+
 _MOST = 6  # times at most that a set is linearised anew on all windows
 _SETTLED = 0.3  # standard deviations: magnitudes that moved less stay where they are
 _SETTLED_SHAPE = 0.03  # the same as a share of a shape
 # linearising anew goes on only while less than this share of the rms before is left
 _GAINED = 0.995
-_CURVED = 0.5  # [sigma] size of the time-step correction from which a share of it may not be enough
 _HALVINGS = 3  # of the time step at most, for that
 _BEYOND_NOISE = 2.0  # standard deviations of rms², from which something is left
 _STRAIGHTER = 0.7  # half the step is kept if it leaves less than this share of what was unexplained
@@ -84,7 +86,7 @@ def stepped_finer(
         return leader, prepared
     varies = np.sqrt(2.0 / prepared.problem.dof)  # rms² of n numbers, by noise alone
     for _ in range(_HALVINGS):
-        if leader.excess < _BEYOND_NOISE * varies or prepared.correction_rms < _CURVED:
+        if leader.excess < _BEYOND_NOISE * varies or prepared.correction_rms < CURVED:
             break
         step = prepared.problem.windows.timestep / 2
         problem = windows_of(evidence, horizon, step, everything=True)
