@@ -279,7 +279,7 @@ def _kept(
     middle = controls.mean(axis=0)
     for _ in range(_TRIES):
         one = _posed(problem, recording_at_rest(problem, controls), len(controls) - 1)
-        simulated = one.simulate(best.hypothesis, one.windows.start)
+        simulated = one.simulate(best.hypothesis, one.smoothed(best.hypothesis))
         over = max(
             float(bounds.limits.violation([m], simulated.trajectory, simulated.ctrl, 1.0)[0])
             for m in (bounds.whole, *((simulated.model,) if simulated.coordinates.same else ()))
