@@ -85,16 +85,6 @@ def test_what_a_constant_command_gives_no_size_is_not_looked_for() -> None:
     assert all(c.probe.any() for c in found.candidates)
 
 
-@pytest.mark.parametrize("every", [1, 5])
-def test_recordings_of_different_rates_are_told_of(every: int) -> None:
-    time = TIME[::every]
-    shown = {"a": SWING[::every] + NOISE[0, ::every], "b": NOISE[1, ::every]}
-    other = Recording.from_arrays(time, name="slow", qpos=shown, ctrl={"m": np.cos(time)})
-    notes = [n for n in evidence_of(SWING + NOISE[0], NOISE[1], other).notes if "sampled" in n]
-    assert len(notes) == (every > 1)
-    assert all("slow every 0.01 s: windows have as many samples" in n for n in notes)
-
-
 def test_a_law_sees_all_joints_and_lags_before_anything_is_simulated() -> None:
     """As it does in every simulation: a joint that was not recorded, what lags behind a control."""
     xml = TWO.replace(
