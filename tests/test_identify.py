@@ -511,7 +511,7 @@ def pendulum_study(folder: Path, **search: object) -> Study:
     return Study.from_dict(data, folder)
 
 
-@pytest.mark.parametrize(("candidates", "seed"), [("grid", 0), ("grid", 1), ({"sobol": 1000}, 0)])
+@pytest.mark.parametrize(("candidates", "seed"), [("grid", 0), ("grid", 1), ({"sobol": 300}, 0)])
 def test_the_interval_is_that_of_the_recordings_for_two_parameters(
     tmp_path: Path, candidates: object, seed: int
 ) -> None:
