@@ -16,7 +16,7 @@ from bo_sysid.effects import CATALOGUE, Component, Extent, Machine, Site, survey
 from bo_sysid.effects.contract import Effect
 from bo_sysid.intervals import Quantity
 from bo_sysid.recording import Recording
-from bo_sysid.report.diagnosis_text import diagnosis_text, verdict_text
+from bo_sysid.report.diagnosis_text import diagnosis_text, errors_table, verdict_text
 
 PENDULUM = """<mujoco><worldbody><body name="bob" gravcomp="{gravcomp}">
 <joint name="hinge" axis="0 1 0" stiffness="{stiffness}" springref="{rest}"/>
@@ -270,3 +270,18 @@ def test_an_answer_without_names_says_what_it_may_be_and_once_what_to_record() -
     assert text.index("What it may be:") < text.index("something unknown")
     assert text.index("something unknown") < text.index("nothing is missing")
     assert diagnosis_text(answer, {"sentences": ["Something acts."]}, None).count(after) == 1
+
+
+def test_a_free_run_of_metres_and_radians_is_told_channel_by_channel() -> None:
+    """Their mean has no unit."""
+    channels = {"nominal": {"qpos.rail": 0.2, "qpos.hinge": 1.0}, "repaired": {"qpos.rail": 0.1}}
+    part = {"horizon_s": 2.0, "unit": "SI", "nominal": 0.7, "repaired": 0.1, "channels": channels}
+    units = {"qpos.rail": "m", "qpos.hinge": "rad"}
+    table = errors_table({"free_run": {**part, "units": units}})
+    words = "free run from the past alone"
+    assert table.measure.tolist() == [f"{words}, qpos.rail", f"{words}, qpos.hinge"]
+    assert table.unit.tolist() == ["m", "rad"]
+    assert table.nominal.tolist() == [0.2, 1.0]
+    assert table.repaired.tolist()[0] == 0.1
+    (whole,) = errors_table({"free_run": {**part, "unit": "rad"}}).to_dict("records")
+    assert (whole["measure"], whole["nominal"]) == (words, 0.7)

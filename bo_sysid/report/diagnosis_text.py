@@ -130,16 +130,34 @@ def findings_table(findings: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
 
 
 def errors_table(holdout: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
-    """Return the held-out errors, one row a measure; columns of models that were not judged go."""
+    """Return the held-out errors, one row a measure; columns of models that were not judged go.
+
+    A free run of metres and radians has a row for each channel.
+    """
     rows = [
         {
             "measure": words, "horizon [s]": float(part["horizon_s"]), "unit": part["unit"],
             **{m.replace("_", " "): part.get(m) for m in _MODELS},
         }
         for key, words in _MEASURES.items()
-        if (part := holdout.get(key))
+        if (whole := holdout.get(key))
+        for words, part in _by_unit(words, whole)
     ]  # fmt: skip
     return pd.DataFrame(rows).dropna(axis=1, how="all")
+
+
+def _by_unit(words: str, part: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+    """Return a measure and its errors; those of each channel where they have different units."""
+    units, channels = part.get("units") or {}, part.get("channels") or {}
+    if len({units[c] for errors in channels.values() for c in errors if c in units}) < 2:
+        return [(words, part)]
+    found = []
+    for channel, unit in units.items():
+        errors = {m: e[channel] for m, e in channels.items() if channel in e}
+        if errors:
+            own = {"horizon_s": part["horizon_s"], "unit": unit, **errors}
+            found.append((f"{words}, {channel}", own))
+    return found
 
 
 def alternatives_table(alternatives: Sequence[Mapping[str, Any]]) -> pd.DataFrame:

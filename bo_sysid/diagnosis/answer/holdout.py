@@ -29,6 +29,7 @@ class Holdout:
         beyond: by joint, the share of the instants in which it is where no training recording was.
         short: names of recordings that are shorter than a forecast and what it begins from.
         rates: how it is sampled otherwise than the training recordings, in words; else empty.
+        units: of the free-run errors, by channel.
     """
 
     table: pd.DataFrame
@@ -39,6 +40,7 @@ class Holdout:
     beyond: Mapping[str, float] = field(default_factory=dict)
     short: tuple[str, ...] = ()
     rates: str = ""
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def error(self, measure: str, horizon: float, model: str) -> float | None:
         """Return one error, None where it was not computed."""
@@ -136,6 +138,7 @@ class Holdout:
                 "unit": str(free.unit.iloc[0]),
                 **{n: _number(errors.get(n)) for n in ("nominal", "refitted", "repaired")},
                 "channels": {m: dict(c) for m, c in self.free_runs.items()},
+                "units": dict(self.units),
             }
         else:
             out["free_run"] = {}

@@ -81,8 +81,15 @@ def judge(evidence: Evidence, outcome: Outcome, recordings: Sequence[Recording])
         _table(rows), free_runs, traced, note, parameters=bool(evidence.nuisances),
         beyond=beyond(evidence.recordings, recordings, evidence.machine.joints) if rows else {},
         short=tuple(r.name for r in recordings if not _lasts(r, PAST + AHEAD)),
-        rates=_other_rate(evidence, recordings),
+        rates=_other_rate(evidence, recordings), units=_units(evidence),
     )  # fmt: skip
+
+
+def _units(evidence: Evidence) -> dict[str, str]:
+    """Return the units of the channels that are compared."""
+    joints = evidence.machine.joints
+    own = {f"qpos.{name}": "rad" if joint.hinge else "m" for name, joint in joints.items()}
+    return {channel: own.get(channel, "SI") for channel in evidence.sigma}
 
 
 def _other_rate(evidence: Evidence, unseen: Sequence[Recording]) -> str:
@@ -203,9 +210,9 @@ def _free_runs(
     except RecordingError:
         return [], {}, pd.DataFrame()
     made, rows = _each(models, partial(forecast, problem, past)), []
-    joints = {f"qpos.{n}": "rad" if j.hinge else "m" for n, j in evidence.machine.joints.items()}
+    known = _units(evidence)
     for name, errors in made.items():
-        units = {joints.get(channel, "SI") for channel in errors.channel}
+        units = {known[channel] for channel in errors.channel}
         unit = units.pop() if len(units) == 1 else "SI"
         error = float(np.sqrt(np.mean(np.square(list(errors.channel.values())))))
         rows.append({**_row("free_run", free, name, error), "unit": unit})
