@@ -7,7 +7,7 @@ from bo_sysid.diagnosis.search.window_lengths import limit_by_growth_rate
 from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
-from bo_sysid.effects import CATALOGUE
+from bo_sysid.effects import CATALOGUE, Effect
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
 
@@ -29,11 +29,10 @@ XML = f"""
 """A point mass held upright, which falls as exp(λt), λ = √(g/l)."""
 
 
-def upright() -> Evidence:
+def upright(*chosen: Effect) -> Evidence:
     time = np.arange(0, 4, STEP)
     swing = {"hinge": 0.01 * np.sin(3 * time)}
     recording = Recording.from_arrays(time, qpos=swing, ctrl={"motor": 0.01 * np.cos(3 * time)})
-    chosen = [CATALOGUE["viscous_damping"], CATALOGUE["armature"]]
     return make_evidence(Model.from_xml(XML), [recording], effects=chosen, threads=1)
 
 
@@ -51,7 +50,7 @@ def falling(damping: float = 0.0, rotor: float = 0.0) -> float:
 
 
 def test_windows_are_as_long_as_disturbances_grow_to_e_squared() -> None:
-    evidence = upright()
+    evidence = upright(CATALOGUE["armature"])
     assert falling() == pytest.approx(np.sqrt(GRAVITY / LENGTH))
     assert limit_by_growth_rate(evidence, FULL, STEP) == pytest.approx(
         2 / falling() / STEP, rel=0.02
@@ -60,9 +59,19 @@ def test_windows_are_as_long_as_disturbances_grow_to_e_squared() -> None:
 
 @pytest.mark.parametrize("known", [{"damping": 0.01}, {"rotor": 0.004}])
 def test_windows_are_longer_at_a_set_that_falls_more_slowly(known: dict[str, float]) -> None:
-    evidence = upright()
+    evidence = upright(CATALOGUE["viscous_damping"], CATALOGUE["armature"])
     names = {"damping": "viscous_damping", "rotor": "armature"}
     at = of(evidence, **{names[k]: x for k, x in known.items()})
     wanted = 2 / falling(**known) / STEP
     assert wanted > 1.1 * 2 / falling() / STEP
     assert limit_by_growth_rate(evidence, FULL, STEP, at) == pytest.approx(wanted, rel=0.02)
+
+
+@pytest.mark.parametrize("encoder", [0.0, 1.0])
+def test_a_joint_that_a_set_adds_makes_no_window_longer(encoder: float) -> None:
+    evidence = upright(CATALOGUE["joint_compliance"])
+    stiff = next(c for c in evidence.candidates if c.shapes[0] == encoder)
+    at = Hypothesis((stiff,), (np.array([1e-3, 1e-3, 0.5]),))
+    assert limit_by_growth_rate(evidence, FULL, STEP, at) == pytest.approx(
+        2 / falling() / STEP, rel=0.02
+    )

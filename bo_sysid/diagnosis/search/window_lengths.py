@@ -102,7 +102,7 @@ def limit_by_growth_rate(
     problem = windows_of(evidence, max(int(horizon * _SHORTEST), LEAST), step)
     at = at or nothing(problem)
     linear = linearise(problem, at, problem.smoothed(at))
-    mechanics = slice(0, 2 * evidence.machine.model.nv)
+    mechanics = slice(0, 2 * linear.points.model.nv)  # with joints that the set adds
     growth = np.abs(np.linalg.eigvals(linear.A[..., mechanics, mechanics])).max(axis=-1)
     rates = np.log(np.maximum(growth, 1e-12)) / (linear.macro * problem.windows.timestep)
     rate = float(np.quantile(rates, _OFTEN))
