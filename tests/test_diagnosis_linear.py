@@ -312,3 +312,38 @@ def test_a_quaternion_follows_its_start() -> None:
         seen = (here - there) / 1e-6
         error = np.linalg.norm(linear.J[..., k] - seen)
         assert error < 0.1 * np.linalg.norm(seen), k  # its matrices are held over 8 ms
+
+
+GEARED = """
+<mujoco>
+  <option timestep="0.002"/>
+  <worldbody>
+    <body name="link">
+      <joint name="motor" axis="0 1 0" damping="0.05" armature="0.02"/>
+      <joint name="gear" axis="0 1 0" damping="0.02" stiffness="20"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -0.4" size="0.02" mass="1"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="motor" joint="motor"/></actuator>
+</mujoco>
+"""
+
+
+def test_a_joint_that_another_ones_encoder_shows_is_seen_there(tmp_path: Path) -> None:
+    """The response of an encoder on the link to starts of a gear that nothing else measures."""
+    file = tmp_path / "geared.xml"
+    file.write_text(GEARED)
+    model = Model.from_file(file, unrecorded={"gear": "motor"})
+    plant, time = model.compile(), np.arange(0, 1, 0.003)  # stamps between the steps
+    moved, told = {"motor": np.sin(4 * time)}, {"motor": np.cos(5 * time)}
+    recording = Recording.from_arrays(time, qpos=moved, ctrl=told)
+    machine, sigma = survey(plant, [recording]), {"qpos.motor": 1e-3}
+    problem = cut_problem(model, machine, [recording], sigma, (), horizon=30, engine=Engine(1))
+    start = problem.windows.start
+    linear, here = linearise(problem, Hypothesis(), start), problem.residual(Hypothesis(), start)
+    for k in range(2 * plant.nv):
+        change = np.zeros((len(start), 2 * plant.nv))
+        change[:, k] = 1e-6
+        seen = (here - problem.residual(Hypothesis(), problem.moved(start, change))) / 1e-6
+        error = np.linalg.norm(linear.J[..., k] - seen)
+        assert error < 0.01 * np.linalg.norm(seen), k

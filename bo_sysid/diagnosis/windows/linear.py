@@ -236,12 +236,14 @@ class Linear:
         """Return the change of what a channel measures, `delay` after it.
 
         Between macro steps it bends as its velocity says; before the window it goes on with the
-        acceleration at its start.
+        acceleration at its start. A channel may show joints that nothing else measures as well.
         """
         p, nv = self.problem, self.problem.machine.model.nv
         position = channel not in p.layout.turns
-        column = int(p.layout.velocity[p.layout.qpos[channel]]) if position else 0
-        values = s[:, :, column] if position else self._turned(s, channel)
+        shows = (p.layout.qpos[channel], *p.layout.also.get(channel, ()))
+        columns = p.layout.velocity[list(shows)] if position else np.empty(0, int)
+        values = s[:, :, columns].sum(axis=2) if position else self._turned(s, channel)
+        rates = s[:, :, nv + columns].sum(axis=2)
         length = self.macro * p.windows.timestep
         at = (p.windows.step + p.windows.fraction) / self.macro - delay / length
         inside = np.maximum(at, 0.0)
@@ -253,10 +255,10 @@ class Linear:
         if (part > 1e-9).any():
             out = out + part * (values[row, after] - values[row, node])
             if position:
-                v = s[:, :, nv + column]
-                out -= 0.5 * part * (1 - part) * length * (v[row, after] - v[row, node])
+                bend = rates[row, after] - rates[row, node]
+                out -= 0.5 * part * (1 - part) * length * bend
         if delay and position:
-            before, v = np.minimum(at, 0.0)[..., None], s[:, :2, nv + column]
+            before, v = np.minimum(at, 0.0)[..., None], rates[:, :2]
             out = out + length * before * (v[:, :1] + 0.5 * before * (v[:, 1:] - v[:, :1]))
         return np.asarray(out)
 
