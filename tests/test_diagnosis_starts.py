@@ -68,6 +68,23 @@ def test_a_window_is_fitted_as_if_it_were_alone(windows):
         np.testing.assert_allclose(alone.qvel[0], together.qvel[w], atol=1e-4)
 
 
+def test_a_window_that_stale_slopes_lead_nowhere_is_linearised_anew_also_alone(
+    windows, monkeypatch
+):
+    problem, machine = windows
+    monkeypatch.setattr(fitted_starts, "_BEHIND", np.inf)  # others say who is a straggler
+    friction = candidate(machine, "dry_friction", "elbow")
+    hypothesis = replace(Hypothesis(), members=(friction,), x=(np.array([0.3]),))
+    begin = problem.windows.start
+    together = FittedStarts(problem, hypothesis, begin, 1)
+    together.fit()
+    for w in range(len(begin)):
+        own = np.array([w])
+        alone = FittedStarts(problem.rows(own), hypothesis, begin.rows(own), 1)
+        alone.fit()
+        assert alone.cost[0] == pytest.approx(together.cost[w], rel=1e-9)
+
+
 def test_windows_settle_as_if_each_were_alone_and_those_that_are_done_are_left(
     windows, monkeypatch
 ):

@@ -223,9 +223,9 @@ class FittedStarts:
             excess = self.cost[busy] - self._problem.count
             wanted = gain >= np.maximum(_SETTLED, self._worth * excess)
             moved = self._search(busy[wanted], step[wanted])
-            if not moved.size:
+            busy = moved if fresh else busy[wanted]
+            if not busy.size:
                 break
-            busy = moved if fresh else busy
         self._fit_stragglers()
 
     def _fit_stragglers(self) -> None:
