@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from bo_sysid.diagnosis.windows import fitted_starts
 from bo_sysid.diagnosis.windows.coordinates import Coordinates
 from bo_sysid.diagnosis.windows.cutting import cut_problem
-from bo_sysid.diagnosis.windows.estimated_starts import caught_up, estimated
+from bo_sysid.diagnosis.windows.estimated_starts import _far, caught_up, estimated
 from bo_sysid.diagnosis.windows.fitted_starts import FittedStarts, prior, start_noise
 from bo_sysid.diagnosis.windows.forecast import forecast
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
@@ -145,6 +145,46 @@ def test_a_joint_that_is_kept_still_begins_as_it_was_given_and_others_follow(win
     np.testing.assert_allclose(found.start.qvel[:, 1], 0.0, atol=1e-6)
     assert np.abs(found.start.qvel[:, 0] - given.qvel[:, 0]).max() > 0.01
     assert (found.cost <= before).all()
+
+
+@pytest.fixture(scope="module")
+def of_two_rates():
+    """The fast log's windows and a slow one's, which last as long with a tenth of the samples."""
+    fast, whole = record(duration=1.2), record(duration=1.2, seed=1)
+    thinned = {
+        n: replace(c, time=c.time[::10], values=c.values[::10]) if n.startswith("qpos") else c
+        for n, c in whole.channels.items()
+    }
+    recordings = [fast, replace(whole, channels=thinned)]
+    sigma = {"qpos.shoulder": SIGMA, "qpos.elbow": SIGMA}
+    machine = survey(arm().compile(), recordings)
+    return cut_problem(
+        arm(), machine, recordings, sigma, (), horizon=[HORIZON, HORIZON // 10], engine=Engine(1)
+    )
+
+
+def test_a_straggler_among_windows_with_few_samples_is_fitted_on(of_two_rates):
+    problem = of_two_rates
+    slow = np.flatnonzero(problem.windows.recording == 1)
+    assert problem.seen_in_each[slow].max() < 0.2 * problem.seen_in_each.max()
+    found = FittedStarts(problem, Hypothesis(), problem.windows.start, 1)
+    found.fit()
+    assert found.level.max() < 2.0
+    astray = found.start.qvel.copy()
+    astray[slow[0]] += 0.02
+    begun = FittedStarts(problem, Hypothesis(), replace(found.start, qvel=astray), 1)
+    assert 6.0 < begun.level[slow[0]] < 60.0
+    begun._linearise(np.arange(len(begun.start)), first=True)
+    begun._fit_stragglers()
+    assert begun.level[slow[0]] < 2.0
+
+
+def test_windows_are_far_from_recordings_whatever_their_rate(of_two_rates):
+    found = FittedStarts(of_two_rates, Hypothesis(), of_two_rates.windows.start, 1)
+    found.cost = 20.0 * of_two_rates.seen_in_each
+    assert _far(found)
+    found.cost = 5.0 * of_two_rates.seen_in_each
+    assert not _far(found)
 
 
 def test_a_window_that_leaves_more_than_noise_in_one_channel_is_left_behind(windows):

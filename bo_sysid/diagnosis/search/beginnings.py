@@ -43,7 +43,7 @@ def unexplained_start(search: Search) -> tuple[float, Fit] | None:
     for f in search.fits.values():
         early = since < _forgotten(f) - 1e-9
         if _late(f) and 0 < early.sum() <= _FEW * len(early):
-            left = (project(search.frame.Q, f.residual) ** 2).mean(axis=1)
+            left = problem.mean_square(project(search.frame.Q, f.residual))
             begin, rest = np.sqrt(left[early].mean()), np.sqrt(left[~early].mean())
             if begin > _MORE * rest:
                 tried.append((float(rest), f))

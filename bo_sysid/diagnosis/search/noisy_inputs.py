@@ -71,7 +71,7 @@ def noisy_inputs(search: Search) -> dict[str, float]:
     few = np.zeros(len(linear.start), bool)  # windows, enough to tell how far it moves them
     few[np.linspace(0, len(few) - 1, _FEW).astype(int)] = True
     response, _ = disturbances(linear.rows(few), {n.actuator: n.sigma for n in noises})
-    does = float(np.sqrt((response**2).sum(axis=2).mean()))
+    does = float(np.sqrt((response**2).sum() / problem.seen_in_each[few].sum()))
     if does < _FELT * max(1.0, leader.rms):
         return {}
     shares = _absent(linear, leader, noises)

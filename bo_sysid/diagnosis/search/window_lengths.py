@@ -80,7 +80,7 @@ def contact_decides(evidence: Evidence) -> bool:
     prepared = prepare(windows_of(evidence, instants, machine.model.opt.timestep))
     if not in_contact(prepared.problem):
         return False
-    changed = np.sqrt(chaos(prepared.linear).mean(axis=(1, 2)))
+    changed = np.sqrt(chaos(prepared.linear).sum(axis=(1, 2)) / prepared.problem.seen_in_each)
     return bool(np.median(changed) > _BY_CHANCE)
 
 
@@ -120,7 +120,7 @@ def limit_by_input_noise(evidence: Evidence, horizon: int, step: float) -> int:
     problem = windows_of(evidence, horizon, step)
     linear = linearise(problem, nothing(problem), problem.windows.start)
     response, _ = disturbances(linear, evidence.input_noise)
-    moved = float(np.sqrt(np.median((response**2).sum(axis=2).mean(axis=1))))
+    moved = float(np.sqrt(np.median((response**2).sum(axis=(1, 2)) / problem.seen_in_each)))
     if moved < _SHAKEN:
         return horizon
     return int(max(horizon * (_SHAKEN / moved) ** (2 / 3), LEAST))

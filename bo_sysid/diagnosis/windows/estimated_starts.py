@@ -65,16 +65,16 @@ def caught_up(
         found.multistart()
     else:
         found.refit_from_recorded()
-    far = _far(found, problem)
+    far = _far(found)
     found.rested(half=far)
-    if far and not _far(found, problem):  # only the starts were
+    if far and not _far(found):  # only the starts were
         found.rested()
     return found.start, found.residual
 
 
-def _far(found: FittedStarts, problem: Problem) -> bool:
+def _far(found: FittedStarts) -> bool:
     """Whether most windows leave much more than noise."""
-    return bool(np.quantile(found.cost, _FEW) > ROUGH**2 * problem.count)
+    return bool(np.quantile(found.level, _FEW) > ROUGH**2)
 
 
 def on_the_right_side(problem: Problem, hypothesis: Hypothesis, start: State) -> State:

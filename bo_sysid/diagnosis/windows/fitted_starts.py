@@ -31,8 +31,8 @@ _DRAWS, _DRAWN = 32, 2  # starts drawn for a window in contact; how many of the 
 # a drawn start is fitted where it costs at most this many times what the present one does
 _HOPEFUL = 20.0
 _LEFT_BEHIND = 1.5  # [sigma²] mean square from which a window in contact is fitted on
-_ASTRAY = 2.0  # times the median cost, from which a window begins anew from what was recorded
-_BEHIND = 4.0  # times the usual cost, from which a window is fitted once more
+_ASTRAY = 2.0  # times the median level, from which a window begins anew from what was recorded
+_BEHIND = 4.0  # times the usual level, from which a window is fitted once more
 _DIFFERENCE = 0.03  # finite-difference step of a start, as a share of its prior's deviation
 # deviation of a start's prior: in sigma; as a share of the joint's typical speed
 _POSITION, _SPEED = 30.0, 0.3
@@ -115,6 +115,11 @@ class FittedStarts:
         self.cost = (self.residual**2).sum(axis=1)
         self._anchor = self.start
 
+    @property
+    def level(self) -> Float[np.ndarray, " W"]:
+        """The cost of each window per observation, of which it may have few beside others."""
+        return np.asarray(self.cost / self._problem.seen_in_each)
+
     def tried(self, rows: Int[np.ndarray, " L"], start: State, still: int | None = None) -> None:
         """Fit some windows from other starts, and take what costs less."""
         problem = self._problem.rows(rows)
@@ -136,7 +141,7 @@ class FittedStarts:
         Their starts followed magnitudes that were far off, to where no small step leads back.
         """
         rows = self.left_behind()
-        rows = rows[self.cost[rows] > _ASTRAY * np.median(self.cost)]
+        rows = rows[self.level[rows] > _ASTRAY * np.median(self.level)]
         if rows.size:
             problem = self._problem.rows(rows)
             start = problem.smoothed(self._hypothesis)
@@ -157,7 +162,7 @@ class FittedStarts:
         smooth = self._problem.smoothed(self._hypothesis)
         for joint in held_joints(self._problem, self._hypothesis):
             rows = self.left_behind(anywhere=True)
-            rows = rows[self.cost[rows] >= np.median(self.cost)] if half else rows
+            rows = rows[self.level[rows] >= np.median(self.level)] if half else rows
             slow = rows[np.abs(smooth.qvel[rows, joint.dof]) < _SLOW * joint.speed]
             if slow.size:
                 self.tried(slow, _at_rest(smooth.rows(slow), joint))
@@ -220,7 +225,7 @@ class FittedStarts:
             if fresh:
                 self._linearise(busy, first=not k)
             step, gain = self._step(busy)
-            excess = self.cost[busy] - self._problem.count
+            excess = self.cost[busy] - self._problem.seen_in_each[busy]
             wanted = gain >= np.maximum(_SETTLED, self._worth * excess)
             moved = self._search(busy[wanted], step[wanted])
             busy = moved if fresh else busy[wanted]
@@ -233,8 +238,8 @@ class FittedStarts:
 
         Where friction reverses right after the start, no slope along one motion tells of the next.
         """
-        usual = max(float(np.median(self.cost)), float(self._problem.count))
-        busy = np.flatnonzero(self.cost > _BEHIND * usual)
+        usual = max(float(np.median(self.level)), 1.0)
+        busy = np.flatnonzero(self.level > _BEHIND * usual)
         for _ in range(_ROUNDS):
             if not busy.size:
                 return

@@ -116,8 +116,21 @@ class Problem:
 
     @property
     def count(self) -> int:
-        """Number R of observations in a window."""
+        """Number R of entries that a window has for observations; some may have none."""
         return int(self.windows.observed.shape[1] * self.windows.observed.shape[2])
+
+    @cached_property
+    def seen_in_each(self) -> Int[np.ndarray, " W"]:
+        """Number of observations that each window has, 1 at least.
+
+        Windows of a slow recording have few beside those of a fast one, and so have those of
+        channels with stamps of their own.
+        """
+        return np.asarray(np.maximum((self.weight > 0).sum(axis=(1, 2)), 1))
+
+    def mean_square(self, r: Float[np.ndarray, "W R"]) -> Float[np.ndarray, " W"]:
+        """Return the mean square of each window over its observations."""
+        return np.asarray((r**2).sum(axis=1) / self.seen_in_each)
 
     @property
     def dof(self) -> int:

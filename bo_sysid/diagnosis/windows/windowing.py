@@ -210,7 +210,7 @@ def _undecided(linear: Linear, correction: Float[np.ndarray, "W R"]) -> Bool[np.
     reason to drop a window where the hypothesis leaves much more, there or in most of them.
     """
     r = project(linear.Q, linear.residual)
-    size, left = (np.sqrt((e**2).mean(axis=1)) for e in (correction, r))
+    size, left = (np.sqrt(linear.problem.mean_square(e)) for e in (correction, r))
     left = np.maximum(left, max(float(np.median(left)), 1.0))
     return np.asarray(size < _CHAOTIC * np.median(size) + _DECIDES * left)
 
