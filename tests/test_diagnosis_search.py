@@ -264,6 +264,21 @@ def test_a_force_that_friction_holds_leads_to_friction_that_differs_between_dire
     assert set_key([own["asymmetric_friction", "rail"]]) in single.fits
 
 
+def test_such_friction_is_tried_where_all_joints_rub() -> None:
+    """Friction at both joints is one effect of the two that a set may have."""
+    effects = [CATALOGUE[e] for e in ("constant_force", "dry_friction", "asymmetric_friction")]
+    recordings = [record([("dry_friction", "joint", "elbow", [0.05])], duration=1.0)]
+    made = make_evidence(arm(), recordings, effects=effects, noise={"qpos": SIGMA}, threads=1)
+    search = Search.on(prepare(windows_of(made, 100, 0.002)), list(made.candidates), 2, None)
+    own = {c.key: c for c in search.candidates if not c.secant}
+    rubbing = [own["dry_friction", joint] for joint in ("shoulder", "elbow")]
+    force, difference = own["constant_force", "elbow"], own["asymmetric_friction", "elbow"]
+    held = search.fit([*rubbing, force], [np.array([0.05])] * 3)
+    assert held.size == 2
+    turn_about(search, held)
+    assert set_key([*rubbing, difference]) in search.fits
+
+
 def test_a_tilt_out_of_the_plane_of_a_planar_arm_is_found_from_one_inside_it() -> None:
     """Gravity loses 1 - cos 0.12 in the plane: of tilt beside none that has no slope."""
     tilted = evidence("gravity_tilt", missing=[("gravity_tilt", "world", "world", [0.12, 0.07])])

@@ -5,7 +5,7 @@ import numpy as np
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.stand_ins import stand_in
 from bo_sysid.diagnosis.sets.fit import Fit, set_key
-from bo_sysid.diagnosis.sets.groups import all_but, subset, units_of
+from bo_sysid.diagnosis.sets.groups import all_but, grouped_labels, subset, units_of
 from bo_sysid.diagnosis.sets.refit import Effort, refit_at
 from bo_sysid.diagnosis.sets.rules import clean
 from bo_sysid.diagnosis.sets.shapes import reshaped
@@ -131,7 +131,10 @@ def turn_about(search: Search, base: Fit, effort: Effort | None = None) -> None:
         for out in dict.fromkeys(((k, *held), (k,))):
             members, own = subset(base, all_but(base, out))
             members = (*members, difference)
-            if len(members) <= search.most and not clashes(members):
+            # one name for another, though rarer; a group counts as one
+            labels = grouped_labels(members, search.candidates)
+            count = len({label or i for i, label in enumerate(labels)})
+            if count <= search.most and not clashes(members):
                 search.fit(
                     members, (*own, x), start=base.start, guess=base.hypothesis, effort=effort
                 )
