@@ -201,6 +201,35 @@ BALL = """<mujoco><option timestep="0.0002" gravity="0 0 0"/><worldbody>
     <geom name="ball" size="0.1" mass="1"/></body></worldbody></mujoco>"""
 
 
+LISTED = (
+    BALL.replace('mass="1"', 'mass="1" contype="0"')
+    .replace('size="1 1 1"', 'size="1 1 1" contype="0"')
+    .replace(
+        "</worldbody>",
+        '</worldbody><contact><pair geom1="floor" geom2="ball" solref="0.03 0.7"/></contact>',
+    )
+)
+"""The same, where the model lists the only pair that touches."""
+
+
+@pytest.mark.parametrize(
+    ("effect", "column", "own", "change"),
+    [("contact_softness", 0, 0.03, 0.01), ("contact_restitution", 1, 0.7, -0.4)],
+)
+def test_a_pair_that_a_model_lists_yields_otherwise(
+    effect: str, column: int, own: float, change: float
+) -> None:
+    ball, made = Bench(LISTED), CATALOGUE[effect]
+    (site,) = applicable(made, ball.machine)
+    assert made.nominal is not None
+    assert made.nominal(site, ball.machine) == own
+    model, _ = ball.edited(effect, "world", "world", [change])
+    data = mujoco.MjData(model)
+    data.qpos[0] = -0.03
+    mujoco.mj_forward(model, data)
+    assert data.contact[0].solref[column] == pytest.approx(own + change)
+
+
 @pytest.mark.parametrize("change", [-0.9, -0.7, -0.4, 0.0, 0.8])
 def test_a_ball_rebounds_with_the_restitution_that_is_told(change: float) -> None:
     ball = Bench(BALL)

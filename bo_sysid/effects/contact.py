@@ -2,11 +2,12 @@
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 
 from bo_sysid.effects.contract import Component, Extent, Magnitudes, Site
 from bo_sysid.effects.machine import Machine
 from bo_sysid.effects.registry import effect
-from bo_sysid.mjcf.touching import mixed, partners, take_priority
+from bo_sysid.mjcf.touching import can_touch, mixed, partners, take_priority
 
 _MOST_FRICTION = 5.0
 _SLIPS = (0.5, 0.8)  # shares of the friction without which a grip may slip
@@ -83,11 +84,20 @@ def contact_friction(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Ma
         take_priority(spec, machine.model, site.name, rival)
 
 
+def _timed(model: mujoco.MjModel) -> Float[np.ndarray, "k 2"]:
+    """Return time constant and damping ratio of what touches: geoms, and pairs of the model's list.
+
+    Without those whose stiffness and damping are given directly.
+    """
+    refs = model.geom_solref[partners(model).any(axis=0)]
+    if can_touch(model):
+        refs = np.concatenate([refs, model.pair_solref])
+    return np.asarray(refs[refs[:, 0] > 0])
+
+
 def _softness(site: Site, machine: Machine) -> float:
-    """Return the smallest time constant of the geoms that touch, 0 where there is none."""
-    model = machine.model
-    touching = partners(model).any(axis=0) & (model.geom_solref[:, 0] > 0)
-    return float(model.geom_solref[touching, 0].min()) if touching.any() else 0.0
+    """Return the smallest time constant of what touches, 0 where there is none."""
+    return float(min(_timed(machine.model)[:, 0], default=0.0))
 
 
 def _softness_extent(site: Site, machine: Machine) -> Extent | None:
@@ -121,10 +131,8 @@ _DAMPED = (0.02, 4.0)  # damping ratios of contacts that rebound almost fully, a
 
 
 def _damping_ratio(site: Site, machine: Machine) -> float:
-    """Return the smallest damping ratio of the geoms that touch, 0 where there is none."""
-    model = machine.model
-    touching = partners(model).any(axis=0) & (model.geom_solref[:, 0] > 0)
-    return float(model.geom_solref[touching, 1].min()) if touching.any() else 0.0
+    """Return the smallest damping ratio of what touches, 0 where there is none."""
+    return float(min(_timed(machine.model)[:, 1], default=0.0))
 
 
 def _rebound_extent(site: Site, machine: Machine) -> Extent | None:
