@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from bo_sysid.mjcf.touching import can_touch, comes_and_goes
+from bo_sysid.mjcf.touching import can_touch, comes_and_goes, joints_to_contact
 
 ALONE = '<body><joint/><geom size=".1"/><geom size=".1"/></body>'
 TWO = (
@@ -63,3 +63,16 @@ def test_where_these_poses_miss_what_touches_nothing_is_known_to_last() -> None:
     )
     poses = np.full((20, 1), 0.15)
     assert comes_and_goes(model, poses, poses)
+
+
+@pytest.mark.parametrize("off", [False, True])
+def test_a_listed_pair_is_moved_by_the_joints_of_its_bodies(off: bool) -> None:
+    flag = '<option><flag contact="disable"/></option>' if off else ""
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco>{flag}<worldbody><geom name="floor" type="plane" size="1 1 .1" contype="0"/>'
+        '<body><joint name="fall" type="slide"/><inertial pos="0 0 0" mass="1" '
+        'diaginertia="1 1 1"/><body><joint name="tilt"/>'
+        '<geom name="foot" size=".1" contype="0"/></body></body></worldbody>'
+        '<contact><pair geom1="floor" geom2="foot"/></contact></mujoco>'
+    )
+    assert joints_to_contact(model) == (set() if off else {"fall", "tilt"})

@@ -114,8 +114,10 @@ def partners(model: mujoco.MjModel) -> Bool[np.ndarray, "ngeom ngeom"]:
 
 
 def joints_to_contact(model: mujoco.MjModel) -> frozenset[str]:
-    """Return the joints that move a geom which can touch another."""
-    bodies = {int(model.geom_bodyid[g]) for g in np.flatnonzero(partners(model).any(axis=1))}
+    """Return the joints that move a geom which can touch another, also in a listed pair."""
+    listed = () if _off(model) else (*model.pair_geom1, *model.pair_geom2)
+    geoms = (*np.flatnonzero(partners(model).any(axis=1)), *listed)
+    bodies = {int(model.geom_bodyid[g]) for g in geoms}
     found: set[str] = set()
     for body in bodies:
         while body:
