@@ -1,5 +1,7 @@
 """Noise of recorded controls: weights against linear algebra, responses against simulations."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -98,6 +100,31 @@ def test_the_response_has_the_covariance_of_simulations_with_drawn_noise() -> No
     told = (A @ A.T)[early, late] / np.sqrt((A @ A.T)[early, early] * (A @ A.T)[late, late])
     drawn = covariance[early, late] / np.sqrt(covariance[early, early] * covariance[late, late])
     assert told == pytest.approx(drawn, abs=0.03)
+
+
+def test_noise_of_a_slow_control_is_that_of_its_own_samples_beside_fast_ones() -> None:
+    made = evidence(seconds=4)
+    (fast,) = made.recordings
+    drive = fast.channels["ctrl.drive"]
+    thinned = replace(drive, time=drive.time[::10], values=drive.values[::10])
+    slow = replace(fast, name="slow", channels={**fast.channels, "ctrl.drive": thinned})
+
+    def done(*recordings: Recording) -> list[np.ndarray]:
+        problem = windows_of(replace(made, recordings=recordings), 40, STEP)
+        linear = linearise(problem, nothing(problem), problem.windows.start)
+        A, courses = disturbances(linear, {"drive": NOISE})
+        drawn = np.ones((len(A), A.shape[2]))
+        added = (courses.added(drawn) ** 2).mean(axis=(1, 2))
+        of = problem.windows.recording
+        return [
+            np.array([(A[of == k] ** 2).sum(axis=2).mean(), added[of == k].mean()])
+            for k in range(len(recordings))
+        ]
+
+    (alone,), (quick,) = done(slow), done(fast)
+    assert alone[0] > 5 * quick[0]
+    for found, wanted in zip(done(fast, slow, fast), (quick, alone, quick), strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=0.05)
 
 
 def test_noise_that_was_measured_is_told_from_noise_that_was_sent() -> None:

@@ -1,15 +1,16 @@
 """What a change of the recorded controls does to windows, along the linear model."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from bo_sysid.diagnosis.windows.linear import Linear, linearise
 from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.diagnosis.windows.process_noise import ProcessNoise
 from bo_sysid.recording import Recording
+from bo_sysid.recording.alignment import OTHER_RATE
 
 _PIECES = 64  # of a window in which noise has a value each, at most
 _ROUNDS = 6  # of Gauss-Newton steps
@@ -34,9 +35,30 @@ def controlled_response(
     return np.asarray(np.clip(np.nan_to_num(shown), -_MOST, _MOST))
 
 
+@dataclass(frozen=True)
+class Courses:
+    """What k independent noises of size 1 add to the controls of windows.
+
+    Attributes:
+        kinds: the courses of each kind of window: those of recordings of one rate are alike.
+        kind: of each window.
+    """
+
+    kinds: Float[np.ndarray, "g k S nu"]
+    kind: Int[np.ndarray, " W"]
+
+    def added(self, drawn: Float[np.ndarray, "W k"]) -> Float[np.ndarray, "W S nu"]:
+        """Return what drawn noises add to the controls of each window."""
+        out = np.empty((len(drawn), *self.kinds.shape[2:]))
+        for number, courses in enumerate(self.kinds):
+            own = self.kind == number
+            out[own] = np.einsum("wk,ksu->wsu", drawn[own], courses)
+        return out
+
+
 def disturbances(
     linear: Linear, noise: Mapping[str, float]
-) -> tuple[Float[np.ndarray, "W R k"], Float[np.ndarray, "k S nu"]]:
+) -> tuple[Float[np.ndarray, "W R k"], Courses]:
     """Return what white noise of recorded controls does to windows, and its courses.
 
     A window is cut into pieces of length L, none shorter than the interval h between two controls.
@@ -48,25 +70,41 @@ def disturbances(
         noise: σ of each sample, by actuator.
 
     Returns:
-        The responses to k independent courses of size 1, and what these add to the controls.
+        The responses to k independent courses of size 1, and what these add to the controls. Of
+        recordings whose controls are slower than others' the last ones may be nothing.
     """
     problem, steps = linear.problem, linear.macro
-    macro, last = steps * problem.windows.timestep, problem.windows.ctrl.shape[1]
+    last = problem.windows.ctrl.shape[1]
+    each = [sampling(problem.recordings, actuator) for actuator in noise]
+    rates, kind = np.unique(np.transpose(each), axis=0, return_inverse=True)
+    kind = kind.reshape(-1)[problem.windows.recording]
     responses, courses = [], []
-    for actuator, sigma in noise.items():
-        interval = sampling(problem.recordings, actuator)
-        least = max(interval / macro, 1.0)
-        count = int(np.clip(linear.macros / least, 1, _PIECES))
-        piece = np.arange(linear.macros) * count // linear.macros
-        length = np.maximum(np.bincount(piece, minlength=count), least) * macro
-        change = np.eye(count)[piece] * sigma * np.sqrt(interval / length)
-        shape = (len(linear.start), *change.shape)
-        responses.append(controlled_response(linear, actuator, np.broadcast_to(change, shape)))
-        added = np.zeros((count, last, problem.windows.ctrl.shape[2]))
+    for k, (actuator, sigma) in enumerate(noise.items()):
+        changes = [_pieces(linear, interval, sigma) for interval in rates[:, k]]
+        most = max(c.shape[1] for c in changes)
+        change = np.stack([np.pad(c, ((0, 0), (0, most - c.shape[1]))) for c in changes])
+        responses.append(controlled_response(linear, actuator, change[kind]))
+        added = np.zeros((len(rates), most, last, problem.windows.ctrl.shape[2]))
         column = problem.model.ctrl_channels.index(f"ctrl.{actuator}")
-        added[..., column] = np.repeat(change.T, steps, axis=1)[:, :last]
+        added[..., column] = np.repeat(change.transpose(0, 2, 1), steps, axis=2)[..., :last]
         courses.append(added)
-    return np.concatenate(responses, axis=2), np.concatenate(courses)
+    return np.concatenate(responses, axis=2), Courses(np.concatenate(courses, axis=1), kind)
+
+
+def _pieces(linear: Linear, interval: float, sigma: float) -> Float[np.ndarray, "M c"]:
+    """Return the courses of a control over the macro steps, a piece each.
+
+    Args:
+        linear: the model along a prediction.
+        interval: between two of its samples in [s].
+        sigma: of each sample.
+    """
+    macro = linear.macro * linear.problem.windows.timestep
+    least = max(interval / macro, 1.0)
+    count = int(np.clip(linear.macros / least, 1, _PIECES))
+    piece = np.arange(linear.macros) * count // linear.macros
+    length = np.maximum(np.bincount(piece, minlength=count), least) * macro
+    return np.asarray(np.eye(count)[piece] * sigma * np.sqrt(interval / length))
 
 
 def smoothed(linear: Linear, noise: Mapping[str, float]) -> Linear:
@@ -81,7 +119,7 @@ def smoothed(linear: Linear, noise: Mapping[str, float]) -> Linear:
     """
     problem, at, start = linear.problem, linear.hypothesis, linear.start
     response, courses = disturbances(linear, noise)
-    drawn = np.zeros((len(response), len(courses)))
+    drawn = np.zeros((len(response), response.shape[2]))
     cost = _cost(problem.deviation(at, start), drawn)
     for _ in range(_ROUNDS):
         before, left = cost.sum(), np.ones(len(cost), bool)
@@ -106,7 +144,7 @@ def shaken(
 ) -> Float[np.ndarray, "W R"]:
     """Return how drawn noise of the inputs moves what is simulated, in sigma of the sensors."""
     response, courses = disturbances(linear, noise)
-    drawn = rng.standard_normal((len(response), len(courses)))
+    drawn = rng.standard_normal((len(response), response.shape[2]))
     problem, at, start = linear.problem, linear.hypothesis, linear.start
     moved = _along(problem, _process(response, courses, drawn))
     return np.asarray(problem.deviation(at, start) - moved.deviation(at, start))
@@ -114,10 +152,10 @@ def shaken(
 
 def _process(
     response: Float[np.ndarray, "W R k"],
-    courses: Float[np.ndarray, "k S nu"],
+    courses: Courses,
     drawn: Float[np.ndarray, "W k"],
 ) -> ProcessNoise:
-    return ProcessNoise.about(response, np.einsum("wk,ksu->wsu", drawn, courses), drawn)
+    return ProcessNoise.about(response, courses.added(drawn), drawn)
 
 
 def _along(problem: Problem, process: ProcessNoise) -> Problem:
@@ -143,7 +181,15 @@ def _likeliest(
     return np.asarray(move), process.likely(left)
 
 
-def sampling(recordings: Sequence[Recording], actuator: str) -> float:
-    """Return the interval between two of an actuator's controls in [s]."""
-    channels = (r.channels.get(f"ctrl.{actuator}") for r in recordings)
-    return float(np.median([np.median(np.diff(c.time)) for c in channels if c is not None]))
+def sampling(recordings: Sequence[Recording], actuator: str) -> list[float]:
+    """Return the interval between two of an actuator's controls in [s], for each recording.
+
+    Their median, but for those of another rate, which have their own. Where a recording has none
+    of its controls there is no noise of them: the interval is 0.
+    """
+    channels = [r.channels.get(f"ctrl.{actuator}") for r in recordings]
+    own = [
+        0.0 if c is None or len(c.time) < 2 else float(np.median(np.diff(c.time))) for c in channels
+    ]
+    usual = float(np.median([h for h in own if h]))
+    return [h if not 1 / OTHER_RATE <= h / usual <= OTHER_RATE else usual for h in own]
