@@ -30,6 +30,7 @@ from bo_sysid.diagnosis.answer.holdout import Holdout
 from bo_sysid.diagnosis.answer.judge import beyond
 from bo_sysid.diagnosis.answer.sentences import disputed_sentence, doubts, rivals
 from bo_sysid.diagnosis.answer.unexplained import Unexplained
+from bo_sysid.diagnosis.search import sharpen
 from bo_sysid.diagnosis.search.locate import Located, locate
 from bo_sysid.diagnosis.search.moves import fit_some
 from bo_sysid.diagnosis.search.search import Search
@@ -844,6 +845,29 @@ def test_a_period_that_a_part_of_the_windows_left_is_looked_for_again(last: floa
     assert search.best.rms == pytest.approx(found.decision.best.rms, rel=1e-3)
     (c,) = search.best.members
     assert c.shapes[0] == pytest.approx(7.0, rel=0.02)
+
+
+def test_a_period_is_looked_for_again_whatever_the_order_of_the_fit_that_is_there(monkeypatch):
+    missing = [("cogging", "joint", "elbow", [0.0, 0.05, 7.0])]
+    found = located(record(missing, duration=4.0), effects=("cogging", "constant_force"))
+    (right,), search = found.decision.best.members, found.search
+    force = next(c for c in search.candidates if c.key == ("constant_force", "elbow"))
+    off, little = search.known(right.with_shapes(np.array([9.5]))), np.array([1e-3])
+    far = search.fit((force, off), (little, right.probe))
+    monkeypatch.setattr(Search, "best", far)
+    begun = []
+    with monkeypatch.context() as first:
+        first.setattr(sharpen, "_sharpen", lambda search, fit, at, bounds: begun.append(fit))
+        repeated_anew(search)
+    (fit,) = begun
+    assert [c.key for c in fit.members] == [force.key, right.key]
+    hypothesis = replace(fit.hypothesis, members=fit.members[::-1], x=fit.x[::-1])
+    columns = [1, 2, 0, *range(3, fit.jacobian.shape[-1])]  # sine and cosine, then the force
+    turned = replace(fit, hypothesis=hypothesis, jacobian=fit.jacobian[..., columns])
+    search.fits = {f.key: f for f in (search.nominal, far)}
+    search.fits[turned.key] = replace(turned, cost=0.99 * turned.cost)
+    repeated_anew(search)
+    assert search.nearest.rms == pytest.approx(found.decision.best.rms, rel=0.01)
 
 
 def test_friction_that_rises_by_nothing_is_tried_as_one_that_creeps() -> None:

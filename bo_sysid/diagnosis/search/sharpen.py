@@ -78,8 +78,13 @@ def _repeated_anew(search: Search, leader: Fit, c: Candidate) -> None:
         (*base.members, search.known(found)), (*base.x, best.x),
         start=base.start, guess=base.hypothesis,
     )  # fmt: skip
-    at = (len(base.members), 0)
-    _sharpen(search, made, at, ranges(made.members[at[0]], problem.machine)[0])
+    at = _place(made, found.key)
+    _sharpen(search, made, (at, 0), ranges(made.members[at], problem.machine)[0])
+
+
+def _place(fit: Fit, key: tuple[str, str]) -> int:
+    """Return which member of a fit, whose order may be that of an earlier one, has a key."""
+    return next(i for i, c in enumerate(fit.members) if c.key == key)
 
 
 def _sharpened_at(search: Search, leader: Fit, key: tuple[str, str]) -> None:
@@ -89,9 +94,8 @@ def _sharpened_at(search: Search, leader: Fit, key: tuple[str, str]) -> None:
     for out in (None, *alone):
         members, x = subset(leader, [i for i in range(count) if i != out])
         fit = search.fit(members, x, start=leader.start, guess=leader.hypothesis)
-        at = next(i for i, c in enumerate(fit.members) if c.key == key)
-        for shape, bounds in ranges(fit.members[at], machine).items():
-            fit = _sharpen(search, fit, (at, shape), bounds)
+        for shape, bounds in ranges(fit.members[_place(fit, key)], machine).items():
+            fit = _sharpen(search, fit, (_place(fit, key), shape), bounds)
 
 
 def _sharpen(search: Search, fit: Fit, at: Place, bounds: tuple[float, float]) -> Fit:
@@ -103,10 +107,11 @@ def _sharpen(search: Search, fit: Fit, at: Place, bounds: tuple[float, float]) -
     if profiled.covariance[0, 0] > _UNDETERMINED * (bounds[1] - bounds[0]) ** 2 / UNIFORM:
         return fit
     best, sharp = fit, _SMOOTH if fit.members[at[0]].may_preslide else _SHARP
+    key, shape = fit.members[at[0]].key, at[1]
 
     def rss(value: float) -> float:
         nonlocal best
-        members = reshaped_members(best, {at: value})
+        members = reshaped_members(best, {(_place(best, key), shape): value})
         known = set_key(members) in search.fits
         made = search.refit(members, best.x, start=best.start, guess=best.hypothesis)
         if not known:  # a value on the way to the best one
