@@ -91,6 +91,29 @@ def test_a_mass_and_a_shifted_centre_are_tried_as_a_load_at_its_usual_place() ->
     assert search.best.x[0] == pytest.approx([MASS], rel=0.03)
 
 
+def test_a_place_is_looked_for_from_the_mass_in_whatever_order_that_was_fitted(monkeypatch) -> None:
+    recorded = [record([("payload", "body", "forearm", [MASS, *TIP])], duration=2.0)]
+    effects = [CATALOGUE[e] for e in ("payload", "link_mass", "dry_friction")]
+    evidence = make_evidence(arm(), recorded, effects=effects, noise={"qpos": SIGMA}, threads=1)
+    search = Search.on(prepare(windows_of(evidence, 60, 0.002)), list(evidence.candidates), 3, None)
+    own = {c.key: c for c in reversed(search.candidates)}
+    mass, load = own["link_mass", "forearm"], own["payload", "forearm"]
+    friction, little = own["dry_friction", "elbow"], np.array([1e-3])
+    usual = search.fit((load, friction), (load.probe, little))
+    assert usual.x[0] > 2 * max(load.probe, usual.x[1])
+    base = search.fit((friction, mass), (little, mass.probe))
+    begun, refit = [], search.refit
+
+    def seen(members, x, **kwargs):
+        if any(c.moved for c in members):
+            begun.append(np.concatenate(x))
+        return refit(members, x, **kwargs)
+
+    monkeypatch.setattr(search, "refit", seen)
+    place_loads(search, base, base)
+    assert begun[0][1] == pytest.approx(usual.x[0][0], rel=0.2)
+
+
 def test_a_load_at_its_usual_place_stays_there() -> None:
     (load,) = answered(TIP).findings
     assert (load.effect, load.site) == ("payload", "forearm")

@@ -59,7 +59,9 @@ def _place(search: Search, base: Fit, rest: list[int], load: Candidate) -> None:
     known = set_key((*members, load)) in search.fits
     usual = search.fit((*members, load), (*x, load.probe), guess=base.hypothesis)
     usual = _settled(search, usual, effort)
-    mass = np.maximum(usual.x[-1], load.probe)  # the slope to a place is nothing without a mass
+    keys = [c.key for c in usual.members]  # in the order in which it was fitted first
+    # the slope to a place is nothing without a mass
+    mass = np.maximum(usual.x[keys.index(load.key)], load.probe)
     begun = (*x, np.concatenate([mass, free.point[len(mass) :]]))
     made = search.refit(held, begun, start=base.start, guess=base.hypothesis, effort=effort)
     made = _settled(search, made, effort)
