@@ -25,9 +25,19 @@ from bo_sysid.diagnosis.answer.notes import (
 from bo_sysid.diagnosis.gather import gather
 from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.windows.evidence import make_evidence
-from bo_sysid.diagnosis.windows.forecast import AHEAD
+from bo_sysid.diagnosis.windows.forecast import (
+    AHEAD,
+    LONGER,
+    PAST,
+    Errors,
+    forecast,
+    forecast_problem,
+)
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
+from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.errors import UserError
 from bo_sysid.mjcf import Model
+from bo_sysid.recording import Recording
 from bo_sysid.recording.alignment import rates_note
 from bo_sysid.runs import Run, plain
 from bo_sysid.study import Study
@@ -122,7 +132,7 @@ def test_a_hold_out_that_is_sampled_more_rarely_is_told(diagnosed) -> None:
     )
     assert judge(result.frozen.evidence, result.frozen.outcome, [whole]).rates == ""
     told = judge(result.frozen.evidence, result.frozen.outcome, [rare])
-    assert "every 0.01 s, training every 0.002 s: windows have as many samples" in told.rates
+    assert "every 0.01 s, training every 0.002 s: forecasts last as long, and" in told.rates
 
 
 def test_half_a_second_is_enough_for_the_headline(diagnosed) -> None:
@@ -144,6 +154,33 @@ def test_recordings_of_other_rates_are_told_with_their_intervals() -> None:
     channels = arm().qpos_channels
     again = replace(fast, name="again")
     assert rates_note([fast, again], channels) == rates_note([], channels) == ()
+
+
+def test_a_slow_log_is_forecast_beside_a_fast_one_as_by_itself() -> None:
+    """Its past and future last as long, of fewer instants, and all futures begin at one."""
+    fast, slow = record(FRICTION, duration=3.0), record(FRICTION, seed=1, duration=3.0)
+    rare = {
+        n: replace(c, time=c.time[::10], values=c.values[::10]) for n, c in slow.channels.items()
+    }
+    rare = replace(slow, channels=tenths)
+    evidence = make_evidence(arm(), [fast, rare])
+
+    def forecasts(recordings: list[Recording]) -> tuple[Problem, Errors]:
+        problem, past = forecast_problem(
+            arm(), evidence.machine, recordings, evidence.sigma, past=PAST, ahead=LONGER,
+            timestep=0.002, engine=evidence.engine,
+        )  # fmt: skip
+        return problem, forecast(problem, past, Hypothesis())
+
+    both, found = forecasts([fast, rare])
+    alone, expected = forecasts([rare])
+    own = both.windows.recording == 1
+    assert own.sum() == len(alone.windows)
+    instants = expected.residual.shape[1]
+    np.testing.assert_allclose(found.residual[own, :instants], expected.residual, atol=1e-6)
+    assert not found.residual[own, instants:].any()
+    times = (both.windows.step + both.windows.fraction).max(axis=1) * 0.002
+    np.testing.assert_allclose(times, PAST + LONGER, atol=1e-9)
 
 
 def test_windows_of_a_slow_log_last_as_long_as_those_of_a_fast_one() -> None:

@@ -116,7 +116,7 @@ def diagnose(
     unseen = evidence.without_skipped_start(load_holdout(study, strict=strict))
     holdout = judge(evidence, frozen.outcome, unseen)
     notes = [
-        *of_study(study, evidence), *unsaid, *of_unseen(study, evidence, unseen, holdout),
+        *of_study(study, evidence), *unsaid, *of_unseen(study, holdout),
         *evidence.notes, *outside, *of_training(frozen.located),
     ]  # fmt: skip
     late = {n: c.shift for n, c in study.recordings.clocks.items() if n.startswith("ctrl")}

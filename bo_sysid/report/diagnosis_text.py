@@ -146,7 +146,7 @@ def errors_table(holdout: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
     return pd.DataFrame(rows).dropna(axis=1, how="all")
 
 
-def _by_unit(words: str, part: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+def _by_unit(words: str, part: Mapping[str, Any]) -> Sequence[tuple[str, Mapping[str, Any]]]:
     """Return a measure and its errors; those of each channel where they have different units."""
     units, channels = part.get("units") or {}, part.get("channels") or {}
     if len({units[c] for errors in channels.values() for c in errors if c in units}) < 2:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from bo_sysid.arrays import Ctrl
 from bo_sysid.errors import RecordingError
@@ -93,6 +93,16 @@ class Windows:
             observed=self.observed[:, :instants],
             step=self.step[:, :instants],
             fraction=self.fraction[:, :instants],
+        )
+
+    def arranged(self, order: Int[np.ndarray, "W n"], seen: Bool[np.ndarray, "W n"]) -> "Windows":
+        """Return the windows with other instants: those at `order`, observed where `seen`."""
+        row = np.arange(len(self))[:, None]
+        return replace(
+            self,
+            observed=np.where(seen[..., None], self.observed[row, order], np.nan),
+            step=self.step[row, order],
+            fraction=self.fraction[row, order],
         )
 
     def among(self, channels: Collection[str]) -> "Windows":

@@ -113,7 +113,7 @@ def _other_rate(evidence: Evidence, unseen: Sequence[Recording]) -> str:
     here, there = apart[name]
     return (
         f"The unseen recording has {name} every {here:.3g} s, training every {there:.3g} s: "
-        "windows have as many samples in each, and controls are held from one to the next."
+        "forecasts last as long, and controls are held from one sample to the next."
     )
 
 

@@ -1,7 +1,5 @@
 """What was done to study and recordings, and what was not looked for, in words."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from bo_sysid.checks.sensitivity import bounds_flags, listed
@@ -11,8 +9,6 @@ from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.effects import chosen
 from bo_sysid.effects.balance import balance_notes
 from bo_sysid.mjcf import nominal
-from bo_sysid.recording import Recording
-from bo_sysid.recording.alignment import rates_note
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import held_notes, study_effects
 
@@ -79,12 +75,10 @@ def parameters_out_of_bounds(study: Study, evidence: Evidence) -> tuple[str, ...
     return tuple(f"{sentence} Values between are fitted as well." for sentence in sentences)
 
 
-def of_unseen(
-    study: Study, evidence: Evidence, unseen: Sequence[Recording], holdout: Holdout
-) -> tuple[str, ...]:
-    """Return which recordings were set aside, how they differ, and what they are too short for."""
+def of_unseen(study: Study, holdout: Holdout) -> tuple[str, ...]:
+    """Return which recordings were set aside, and what they are too short for."""
     short = (f"The hold-out {name} is too short for a forecast." for name in holdout.short)
-    return (*held_notes(study), *rates_note(unseen, evidence.model.qpos_channels), *short)
+    return (*held_notes(study), *short)
 
 
 def of_training(located: Located) -> tuple[str, ...]:

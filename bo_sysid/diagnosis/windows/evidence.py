@@ -138,9 +138,13 @@ class Evidence:
         )
 
     def _begins_late(self, recording: Recording) -> bool:
-        """Whether positions of a recording are compared from later on, and most of them are."""
-        start, (first, last) = first_command(recording) + self.skipped_start, recording.span
-        return bool(self.skipped_start and start < 0.5 * (first + last))
+        """Whether positions of a recording are compared from later on, and most of them are.
+
+        That is judged by what follows its first command, also where some of it has gone already.
+        """
+        first = first_command(recording)
+        half = 0.5 * (recording.span[1] - first)
+        return 0.0 < self.skipped_start < half
 
     @property
     def still(self) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from bo_sysid.diagnosis.windows.timestep import finer_step
 from bo_sysid.effects import Machine
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
-from bo_sysid.recording.alignment import instants_in
+from bo_sysid.recording.alignment import instants_each, instants_in
 from bo_sysid.simulation import Controller, Engine, ForceLaw, State
 
 PAST = 0.2  # [s] before a window from which its start is estimated
@@ -64,24 +64,51 @@ def forecast_problem(
 ) -> tuple[Problem, int]:
     """Cut recordings into windows of past and future; return them and the instants of the past.
 
-    Lengths in [s] are counted at the rate of these recordings, which may not be that of others.
+    Lengths in [s] are counted at the rate of these recordings, which may not be that of others. One
+    of another rate has windows that last as long: what it has no instants for is not observed.
     """
     compared = {*model.qpos_channels, *sigma}
-    before = max(instants_in(past, recordings, compared), 3)
-    after = max(instants_in(ahead, recordings, compared), 1)
+    usual = instants_in(past, recordings, compared)
+    before, after = (
+        [max(n, least) for n in instants_each(count, past / usual, recordings, compared)]
+        for count, least in ((usual, 3), (instants_in(ahead, recordings, compared), 1))
+    )
     problem = cut_problem(
         model,
         machine,
         recordings,
         dict(sigma),
         (),
-        horizon=before + after,
+        horizon=[b + a for b, a in zip(before, after, strict=True)],
         timestep=timestep,
         engine=engine,
         laws=laws,
         input_noise=input_noise,
     )
-    return problem, before
+    return _with_one_past(problem, before, after), max(before)
+
+
+def _with_one_past(problem: Problem, before: Sequence[int], after: Sequence[int]) -> Problem:
+    """Return windows in which every future begins at one instant, after the longest past.
+
+    Args:
+        problem: windows of past and future.
+        before: instants of the past of each recording.
+        after: those of its future.
+    """
+    past, future = np.arange(max(before)), np.arange(max(after))
+    if len({*before}) == len({*after}) == 1:
+        return problem
+    order = [
+        np.concatenate([np.minimum(past, b - 1), b + np.minimum(future, a - 1)])
+        for b, a in zip(before, after, strict=True)
+    ]
+    seen = [np.concatenate([past < b, future < a]) for b, a in zip(before, after, strict=True)]
+    own, windows = problem.windows.recording, problem.windows
+    windows = windows.arranged(np.array(order)[own], np.array(seen)[own])
+    row = np.arange(len(windows))[:, None]
+    weight = problem.weight[row, np.array(order)[own]] * np.array(seen)[own][..., None]
+    return replace(problem, windows=windows, weight=weight)
 
 
 def forecast(problem: Problem, past: int, hypothesis: Hypothesis) -> Errors:
