@@ -131,7 +131,8 @@ def without_weakest(search: Search) -> None:
             if f.unique[weakest] < max(2 * MARGIN, 0.5, 0.03 * max(f.unique)):
                 trifles = tuple(k for k, size in enumerate(f.unique) if size < MARGIN)
                 for out in dict.fromkeys(((weakest,), trifles or (weakest,))):
-                    search.refit(*subset(f, all_but(f, out)), start=f.start)
+                    left = subset(f, all_but(f, out))
+                    search.refit(*left, start=f.start, guess=f.hypothesis)
         if len(search.fits) == before:
             return
 
