@@ -159,7 +159,7 @@ def test_recordings_of_other_rates_are_told_with_their_intervals() -> None:
 def test_a_slow_log_is_forecast_beside_a_fast_one_as_by_itself() -> None:
     """Its past and future last as long, of fewer instants, and all futures begin at one."""
     fast, slow = record(FRICTION, duration=3.0), record(FRICTION, seed=1, duration=3.0)
-    rare = {
+    tenths = {
         n: replace(c, time=c.time[::10], values=c.values[::10]) for n, c in slow.channels.items()
     }
     rare = replace(slow, channels=tenths)
