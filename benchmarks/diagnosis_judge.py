@@ -13,6 +13,7 @@ from diagnosis_strange import STRANGE
 from bo_sysid.diagnosis.answer.answer import make_answer
 from bo_sysid.diagnosis.answer.explain import Outcome, explain
 from bo_sysid.diagnosis.answer.findings import Finding
+from bo_sysid.diagnosis.answer.trifle import with_trifle
 from bo_sysid.diagnosis.search.locate import Located, locate
 from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.windows.forecast import (
@@ -145,7 +146,7 @@ def judged(case: Case) -> dict[str, object]:
     """Diagnose a case and compare with what was planted."""
     model, began, cpu = _given(case), time.perf_counter(), time.process_time()
     evidence = make_evidence(model, case.train, parameters=_parameters(case), threads=threads())
-    located = locate(evidence)
+    located = with_trifle(locate(evidence))
     outcome = explain(located)
     seconds, cpu = time.perf_counter() - began, time.process_time() - cpu
     found = outcome.fit

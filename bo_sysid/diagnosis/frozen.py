@@ -9,6 +9,7 @@ from bo_sysid.diagnosis.answer.argmin import ArgminSets, argmin_sets
 from bo_sysid.diagnosis.answer.experiment import next_experiment
 from bo_sysid.diagnosis.answer.explain import Outcome, explain
 from bo_sysid.diagnosis.answer.hints import doubtful
+from bo_sysid.diagnosis.answer.trifle import with_trifle
 from bo_sysid.diagnosis.answer.uncrossed import uncrossed_plays
 from bo_sysid.diagnosis.search.locate import Located, locate
 from bo_sysid.diagnosis.stages import Stages
@@ -34,6 +35,7 @@ class Frozen:
         sha256: hash of the answer.
         contact: whether the machine touches something in the recordings, or meets its stops.
         uncrossed: joints with a play that the recordings do not cross.
+        small: whether a member is smaller than what is named, see `with_trifle`.
     """
 
     evidence: Evidence
@@ -44,6 +46,7 @@ class Frozen:
     sha256: str
     contact: bool
     uncrossed: tuple[str, ...]
+    small: bool = False
 
     @property
     def parameters(self) -> pd.DataFrame:
@@ -66,7 +69,8 @@ def from_training(study: Study, evidence: Evidence, stages: Stages) -> Frozen:
         evidence: of the training recordings.
         stages: told how far it is.
     """
-    located = locate(evidence, stages, stages.doing)
+    decided = locate(evidence, stages, stages.doing)
+    located = with_trifle(decided)
     evidence = replace(located.evidence, candidates=evidence.candidates)  # a search may leave some
     stages.doing("what stays unexplained, and forecasts of the training recordings where any does")
     outcome = explain(located)
@@ -78,11 +82,12 @@ def from_training(study: Study, evidence: Evidence, stages: Stages) -> Frozen:
     doubt = doubtful(outcome.fit, evidence.machine, located.decision.fits, evidence.still)
     answer = make_answer(
         located.decision, outcome, evidence.machine, experiment,
-        doubtful=contact or doubt or bool(uncrossed),
+        doubtful=contact or doubt or bool(uncrossed) or located is not decided,
         fitted=_fitted(evidence, outcome.fit.hypothesis),
     )  # fmt: skip
     return Frozen(
-        evidence, located, outcome, searched, answer, answer.sha256, contact, uncrossed
+        evidence, located, outcome, searched, answer, answer.sha256, contact, uncrossed,
+        small=located is not decided,
     )  # fmt: skip
 
 

@@ -16,6 +16,7 @@ from bo_sysid.diagnosis.answer.sentences import (
     shift_sentence,
     stood_in_sentence,
 )
+from bo_sysid.diagnosis.answer.trifle import trifle_sentence
 from bo_sysid.diagnosis.answer.uncrossed import uncrossed_sentence
 from bo_sysid.diagnosis.frozen import Frozen
 
@@ -80,6 +81,8 @@ def _reservations(frozen: Frozen) -> list[str]:
     sentences = [_CONTACT if frozen.contact and answer.findings else ""]
     if answer.findings and not frozen.contact and leaves_much(best):
         sentences.append(left_sentence(best, evidence.most, located.search.nearest))
+    if frozen.small and answer.findings:
+        sentences.append(trifle_sentence(best))
     sentences += hints(best, evidence.machine, located.decision.fits, evidence.still)
     if frozen.uncrossed:
         sentences.append(uncrossed_sentence(frozen.uncrossed))

@@ -13,6 +13,7 @@ from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.sharpen import repeated_anew
 from bo_sysid.diagnosis.search.variants import turn_about, vary
 from bo_sysid.diagnosis.search.window_lengths import windows_of
+from bo_sysid.diagnosis.sets.decide import BAND
 from bo_sysid.diagnosis.sets.fit import Fit, Names, set_key
 from bo_sysid.diagnosis.sets.refit import FINAL, Effort
 from bo_sysid.diagnosis.sets.rules import (
@@ -181,12 +182,16 @@ def _polish(final: Search, leader: Fit, finished: set[Names]) -> None:
 
 
 def _rivals(final: Search, leader: Fit) -> list[Fit]:
-    """Return the nearest sets with other effects, each with the best of its shapes."""
+    """Return the nearest sets with other effects, each with the best of its shapes.
+
+    One that leaves so little more may only not be fitted to its end, and is as probable then.
+    """
     count, found = leader.width, dict[Names, Fit]()
     for f in ranked(final.fits.values(), final.prior):
         fewer = f.width < count and f.rms < _FAR * leader.rms
         shaped = f.names != leader.names and _shaped(final, f) and f.rms < _NEAR * leader.rms
-        if f.size == leader.size and (fewer or shaped) and not f.names < leader.names:
+        close = f.rms < _UNDECIDED * leader.rms and f.rss - leader.rss > 2 * BAND
+        if f.size == leader.size and (fewer or shaped or close) and not f.names < leader.names:
             found.setdefault(_effects(f), f)
     return list(found.values())
 

@@ -21,7 +21,9 @@ from bo_sysid.diagnosis.sets.rules import (
 from bo_sysid.diagnosis.windows.problem import ROUGH
 from bo_sysid.diagnosis.windows.projection import project
 
-_BAND = 4.6  # difference of log posterior within which sets are equivalent: 1 in 100
+BAND = 4.6
+"""Difference of log posterior within which sets are equivalent: 1 in 100."""
+
 # [sigma] rms difference below which two sets predict the same; where they leave far more than the
 # sensors' noise, a share of what they leave
 _SAME = 0.05
@@ -154,7 +156,7 @@ def _answer(compared: _Compared, leader: Fit, ranked: Sequence[Fit]) -> tuple[Fi
     # answered.
     completing = _best_of_each_set([f for f in rejected if _completes(compared, f, leader)], cost)
     if completing:
-        return completing[0], [f for f in completing if cost(f) - cost(completing[0]) < _BAND]
+        return completing[0], [f for f in completing if cost(f) - cost(completing[0]) < BAND]
     # Where recordings that are nearly explained ask for a richer effect in the place of one of the
     # leader, but with less than a name needs, that is answered, the plain one being as probable.
     richer = sorted([f for f in rejected if _refines(compared, f, leader)], key=cost)
@@ -221,7 +223,7 @@ def _stands_for(compared: _Compared, fit: Fit, best: Fit) -> bool:
     exchanged = len(best.members) > 1 and shared == len(best.members) - 1
     worse = compared.cost(fit) - compared.cost(best)
     return bool(best.members) and (
-        (exchanged and worse < _BAND) or compared.rms_difference(fit, best) < _SAME
+        (exchanged and worse < BAND) or compared.rms_difference(fit, best) < _SAME
     )
 
 
@@ -234,7 +236,7 @@ def _refines(compared: _Compared, fit: Fit, best: Fit) -> bool:
     own, keys = {c.key for c in best.members}, {c.key for c in fit.members}
     plainer = {(c.effect.nested, c.site.name) for c in fit.members if c.key not in own}
     instead = bool(plainer) and plainer == own - keys
-    return instead and fit.rms <= LOOSE and cost(fit) < cost(best) - _BAND
+    return instead and fit.rms <= LOOSE and cost(fit) < cost(best) - BAND
 
 
 def _completes(compared: _Compared, fit: Fit, best: Fit) -> bool:
@@ -245,7 +247,7 @@ def _completes(compared: _Compared, fit: Fit, best: Fit) -> bool:
     """
     cost = compared.cost
     more = best.names < fit.names and fit.size == best.size + 1
-    explains = more and clean(fit) and not clean(best) and cost(fit) < cost(best) - _BAND
+    explains = more and clean(fit) and not clean(best) and cost(fit) < cost(best) - BAND
     # what it leaves itself, for the nominal model
     return explains and admissible(fit, fit, compared.fits)
 
@@ -349,4 +351,4 @@ def _is_equivalent(compared: _Compared, fit: Fit, best: Fit, gap: float) -> bool
         return False
     near = _SAME * (best.rms if best.rms > ROUGH else 1.0)
     fewer = len(fit.members) <= len(best.members)
-    return gap < _BAND or (compared.rms_difference(fit, best) < near and fewer)
+    return gap < BAND or (compared.rms_difference(fit, best) < near and fewer)
