@@ -346,3 +346,11 @@ def test_names_in_any_letters_are_compared_as_they_are(names: tuple[str, str]) -
     foreign = dict(zip(("delta", "alpha"), ANGLES.values(), strict=True))
     rules = guessed(model, **{"{}_pos": foreign})
     assert not any("similar name" in guess.reason for guess in rules.guesses.values())
+
+
+def test_volts_behind_an_actuators_name_and_counts_behind_a_joints_are_read() -> None:
+    """A V at the end is none of the name's where no axis or phase is called so."""
+    assert (named("valve_V", "").kind, named("valve_V", "").unit) == ("effort", "V")
+    assert named("axis_V", "").unit == named("phase_V", "").unit == ""
+    assert (named("arm_counts", "").kind, named("arm_counts", "").unit) == ("position", "ticks")
+    assert named("arm_volts_V", "").unit == "V"

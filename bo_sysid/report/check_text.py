@@ -18,6 +18,7 @@ _TITLES = {
     "look": "To be looked at:",
     "note": "Good to know:",
 }
+_TOLD = 10.0  # [ms] standard deviation from which a delay says nothing
 _MOST = 12  # remarks of one level that are shown
 
 
@@ -35,7 +36,7 @@ def checked_text(found: Checked, *, whole: bool = False) -> str:
         shown = found.wiring.delays.rename(
             columns={"delay": "delay [ms]", "sigma": "± (68 %) [ms]"}
         )
-        unknown_delay = ~np.isfinite(found.wiring.delays["sigma"])
+        unknown_delay = ~(found.wiring.delays["sigma"] < _TOLD)
         shown.loc[unknown_delay, ["delay [ms]", "± (68 %) [ms]"]] = np.nan
         parts += ["", "When the controls act, after their stamps:", table(shown)]
     if len(found.parameters):

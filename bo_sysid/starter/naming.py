@@ -48,13 +48,15 @@ PLACED = WORDS["position"] - {"state", "states", "joint", "x", "y"}
 UNITS = {
     "deg": "deg", "degrees": "deg", "rad": "rad", "ticks": "ticks", "mrad": "mrad", "ms": "ms",
     "us": "us", "ns": "ns", "msec": "ms", "usec": "us", "nsec": "ns", "rpm": "rpm", "mm": "mm",
-    "percent": "%", "grad": "deg",
+    "percent": "%", "grad": "deg", "counts": "ticks",
 }  # fmt: skip
 """Units that names of columns carry as a word of theirs, in any letters."""
 _ENDINGS = ("mA", "mNm", "Nm", "Ncm", "kN", "mV", "turns", "revs", "cm")
 """Units at the end of a name, in these letters."""
 _CURRENT = frozenset({"i", "current", "cur", "curr", "amps"})
 _TURNED = frozenset({"position", "pos", "angle", "encoder", "enc"})
+_ELEMENTS = frozenset({"axis", "joint", "phase", "link", "leg"})
+"""Words beside which a V at the end is the name of an element, as W is."""
 _BESIDE = {
     "A": ("A", _CURRENT), "ma": ("mA", _CURRENT), "V": ("V", frozenset({"u", "voltage", "volts"})),
     "rev": ("rev", _TURNED), "turn": ("turn", _TURNED),
@@ -122,6 +124,8 @@ def named_unit(name: str) -> tuple[str, str]:
     for ending, (unit, beside) in _BESIDE.items():
         if re.search(rf"[^A-Za-z]{ending}$", name) and beside & set(words(name[: -len(ending)])):
             return name[: -len(ending)], unit
+    if re.search(r"[^A-Za-z]V$", name) and not _ELEMENTS & set(words(name)):
+        return name[:-1], "V"
     return name, ""
 
 
@@ -162,6 +166,7 @@ def named(name: str, unit: str) -> Column:
     elif unit_word:
         kind = _BY_QUANTITY.get(unit_called(unit_word, name).quantity, "other")
         kind = "position" if kind == "other" and "position" in kinds else kind
+        kind = "effort" if unit_word == "V" and kind == "other" and not kinds else kind
     elif "position" in kinds or unit in PLACES or ("measured" in kinds and "applied" not in parts):
         kind = "position"  # what was measured, of which nothing else is said
     if kind == "velocity" and unit in _PER_SECOND:  # vel_deg
