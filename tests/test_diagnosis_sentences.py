@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
+import pandas as pd
 import pytest
 
 from bo_sysid.diagnosis.answer.findings import Finding
 from bo_sysid.diagnosis.answer.quantities import details_of
-from bo_sysid.diagnosis.answer.sentences import found_sentences
+from bo_sysid.diagnosis.answer.sentences import disagreements, found_sentences
 from bo_sysid.diagnosis.answer.unexplained import Unexplained
 from bo_sysid.diagnosis.answer.wording import sentence
 from bo_sysid.diagnosis.windows.candidate import candidates
@@ -285,3 +286,26 @@ def test_a_free_run_of_metres_and_radians_is_told_channel_by_channel() -> None:
     assert table.repaired.tolist()[0] == 0.1
     (whole,) = errors_table({"free_run": {**part, "unit": "rad"}}).to_dict("records")
     assert (whole["measure"], whole["nominal"]) == (words, 0.7)
+
+
+def test_magnitudes_that_differ_between_recordings_are_told_with_their_values() -> None:
+    """Where their intervals lie apart, by more than a fifth of the magnitude."""
+    (rubs, *_) = candidates([CATALOGUE["dry_friction"]], machine())
+    columns = ("recording", "effect", "site", "value", "low", "high", "unit")
+
+    def table(*values: float) -> pd.DataFrame:
+        rows = [
+            (f"day{k}", "dry_friction", "hinge", v, v - 0.01, v + 0.01, "N m")
+            for k, v in enumerate(values, 1)
+        ]
+        return pd.DataFrame(rows, columns=columns)
+
+    (told,) = disagreements([rubs], table(0.166, 0.13, 0.064))
+    assert told == (
+        "The recordings do not agree on dry friction at the hinge: 0.166 in day1, 0.13 in day2, "
+        "0.064 in day3 (N m)."
+    )
+    assert disagreements([rubs], table(0.166, 0.17, 0.15)) == []  # within their intervals
+    assert disagreements([rubs], table(1.0, 1.05)) == []  # a trifle
+    (long,) = disagreements([rubs], table(0.1, 0.2, 0.3, 0.4, 0.5))
+    assert long.endswith("0.2 in day2, 0.3 in day3, 0.5 in day5 (N m).")

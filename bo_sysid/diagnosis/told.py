@@ -7,6 +7,7 @@ from bo_sysid.diagnosis.answer.holdout import Holdout
 from bo_sysid.diagnosis.answer.notes import unsought_sentence
 from bo_sysid.diagnosis.answer.seen_once import seen_once
 from bo_sysid.diagnosis.answer.sentences import (
+    disagreements,
     disputed_sentence,
     doubts,
     found_sentences,
@@ -52,6 +53,7 @@ def _found(frozen: Frozen) -> list[str]:
         *found_sentences(answer.findings),
         *answer.unexplained.sentences,
         disputed_sentence(frozen.outcome.disputed),
+        *disagreements(frozen.outcome.fit.members, frozen.outcome.sessions.table),
     ]
     if any(sentences):
         return sentences

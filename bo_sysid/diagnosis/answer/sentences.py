@@ -27,6 +27,8 @@ _UNUSUAL = "these recordings do not tell, and the former is the simpler or more 
 _UNTOLD = "these recordings do not tell"
 _CLEARLY = 6.0  # difference of cross-validated squares, a likelihood of one in twenty
 _FAR_LESS = 0.05  # times the probability of the answer
+_DIFFERS = 0.2  # of a magnitude, from which a difference between recordings is worth telling
+_SHOWN = 4  # recordings
 _MANY = 3  # members of a group from which on one sentence says them all
 
 
@@ -119,6 +121,31 @@ def disputed_sentence(disputed: Sequence[Candidate]) -> str:
         f"The recordings do not agree on {', nor on '.join(each)}: no finding is made of what "
         "differs so much between them."
     )
+
+
+def disagreements(members: Sequence[Candidate], by_recording: pd.DataFrame) -> list[str]:
+    """Return in words on which magnitudes of an answer its recordings do not agree.
+
+    They do not where intervals of two recordings lie apart, by more than a trifle.
+
+    Args:
+        members: of the answer.
+        by_recording: columns recording, effect, site, value, low, high and unit.
+    """
+    found = []
+    for c in members:
+        own = (by_recording.effect == c.effect.id) & (by_recording.site == c.site.name)
+        rows = by_recording[own]
+        if rows.empty or rows.low.max() <= rows.high.min():
+            continue
+        apart = rows.value.max() - rows.value.min()
+        if apart > _DIFFERS * rows.value.abs().mean():
+            each = [f"{r.value:.3g} in {r.recording}" for r in rows.itertuples()]
+            values = ", ".join([*each[: _SHOWN - 1], each[-1]] if len(each) > _SHOWN else each)
+            found.append(
+                f"The recordings do not agree on {_at_site(c)}: {values} ({rows.unit.iloc[0]})."
+            )
+    return found
 
 
 def _at_site(c: Candidate) -> str:
