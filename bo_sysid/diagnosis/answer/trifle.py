@@ -9,10 +9,8 @@ from bo_sysid.diagnosis.answer.sentences import unit_words
 from bo_sysid.diagnosis.search.locate import Located
 from bo_sysid.diagnosis.sets.decide import BAND, Decision
 from bo_sysid.diagnosis.sets.fit import Fit
-from bo_sysid.diagnosis.sets.rules import MARGIN
-from bo_sysid.diagnosis.unexplained.unknown import examine
-
-_NOISE = 0.015  # rms² - 1 up to which a set leaves noise
+from bo_sysid.diagnosis.sets.rules import MARGIN, criterion, inflation
+from bo_sysid.diagnosis.unexplained.unknown import WORTH, examine
 
 
 def with_trifle(located: Located) -> Located:
@@ -22,15 +20,22 @@ def with_trifle(located: Located) -> Located:
     predicted by a law of unknown physics. Where one effect more explains all of it, it is answered,
     as a hint: physics that nobody knows is no better explanation.
     """
-    decision, problem = located.decision, located.prepared.problem
-    found = trifles(decision.best, located.search.fits.values())
-    if not found or not examine(problem, decision).flagged:
+    decision, search = located.decision, located.search
+    found = trifles(decision.best, search.fits.values())
+    if not found or not examine(located.prepared.problem, decision).flagged:
         return located
-    first, *others = found
-    fits = (*found, *(f for f in decision.fits if f not in found))
-    D = np.array([float((f.cv - first.cv).sum()) for f in fits])
-    weight = np.exp(-0.5 * np.maximum(D, 0.0))
-    made = Decision(first, decision.nominal, fits, weight / weight.sum(), tuple(others))
+    known = {f.key for f in found}
+    kappa = inflation(search.fits.values())
+
+    def cost(fit: Fit) -> float:
+        return criterion(fit, kappa, search.prior)
+
+    fits = [*sorted(found, key=cost), *(f for f in decision.fits if f.key not in known)]
+    D = np.array([cost(f) for f in fits])
+    weight = np.exp(-0.5 * (D - D.min()))
+    made = Decision(
+        fits[0], decision.nominal, tuple(fits), weight / weight.sum(), tuple(fits[1 : len(found)])
+    )
     return replace(located, decision=made)
 
 
@@ -43,10 +48,10 @@ def trifles(best: Fit, fits: Iterable[Fit]) -> list[Fit]:
         best: what is answered.
         fits: of all sets that were tried.
     """
-    if not _NOISE < best.excess < MARGIN**2:
+    if not WORTH < best.excess < MARGIN**2:
         return []
     more = [
-        f for f in fits if best.names < f.names and f.size == best.size + 1 and f.excess < _NOISE
+        f for f in fits if best.names < f.names and f.size == best.size + 1 and f.excess < WORTH
     ]
     order = sorted(more, key=lambda f: float(f.cv.sum()))
     return [f for f in order if (f.cv - order[0].cv).sum() < 2 * BAND]

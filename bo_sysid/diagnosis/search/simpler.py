@@ -16,9 +16,9 @@ _RIVALS = 5  # sets beside it that are fitted anew
 def at_a_part(final: Search) -> Search:
     """Return the final fits prepared at a part of the leading set, where that leads then.
 
-    What a finer time step changes is taken at the leader, and is not the same at a set with fewer
-    members, the less where something resonates: of an arm with a soft gear and a late encoder that
-    left 1.038 σ, and at itself 1.005. Two lags, which nothing has, stood for the difference.
+    What a finer time step changes is taken at the leader. At a set with fewer members it is not the
+    same, above all where something resonates: with the leader's, a soft gear and a late encoder
+    left 1.038 σ of an arm that had both, and 1.005 with their own. Two lags stood for the rest.
 
     Args:
         final: the fits on all windows, compared.
@@ -32,7 +32,8 @@ def at_a_part(final: Search) -> Search:
     if len(own.problem.windows) < len(problem.windows):  # fits to other windows do not compare
         return final
     made = Search.on(own, final.candidates, final.most, part.hypothesis, final.doing)
-    for f in (part, leader, *ranked(final.fits.values(), final.prior)[:_RIVALS]):
+    rivals = ranked(final.fits.values(), final.prior)[:_RIVALS]
+    for f in {f.key: f for f in (*rivals, leader, part)}.values():
         if f.members:
             fitted_on_all(made, f)
     if leading(made).names != part.names:

@@ -23,13 +23,15 @@ from bo_sysid.diagnosis.windows.projection import project
 from bo_sysid.diagnosis.windows.windowing import meets_impacts
 from bo_sysid.effects.learned import Feature, features
 
+WORTH = 0.015
+"""rms² - 1 below which nothing is asked."""
+
 _GAIN = 0.02  # of the squared residual per degree of freedom that a law must predict
 _RELATIVE = 0.002  # the same, of what the nominal model left unexplained
 _LOOSE, _LOOSE_SHARE = 0.35, 0.08  # rms and share unexplained that are flagged without a law
 _LOOSE_IN_CONTACT = 1.5  # the same rms in contact, where 1.05 was left of nothing missing
 _BETWEEN_IMPACTS = 0.1  # of what is left, that a law must predict in contact
 _STANDS_OUT = 1.25  # times what a law at any other joint predicts there
-_WORTH = 0.015  # rms² - 1 below which nothing is asked
 _RIDGE = 1e-6  # on names beside a law where both are compared: names keep what both could explain
 _ALSO = 0.2  # share of what a law leaves, that a further dependence must predict of it
 _AT_LEAST = 0.02  # the same, as a share of what there was to predict
@@ -84,7 +86,7 @@ def examine(problem: Problem, decision: Decision) -> Unknown:
     best, nominal = decision.best, decision.nominal
     share = best.excess / max(nominal.excess, 1e-9) if nominal.excess > 0 else 0.0
     share = min(share, 1.0)
-    if best.excess < _WORTH:
+    if best.excess < WORTH:
         return Unknown(False, share)
     problem, best = _some(problem, best)
     linear = linearise(problem, best.hypothesis, best.start)

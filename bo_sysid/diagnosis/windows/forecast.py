@@ -104,11 +104,10 @@ def _with_one_past(problem: Problem, before: Sequence[int], after: Sequence[int]
         for b, a in zip(before, after, strict=True)
     ]
     seen = [np.concatenate([past < b, future < a]) for b, a in zip(before, after, strict=True)]
-    own, windows = problem.windows.recording, problem.windows
-    windows = windows.arranged(np.array(order)[own], np.array(seen)[own])
-    row = np.arange(len(windows))[:, None]
-    weight = problem.weight[row, np.array(order)[own]] * np.array(seen)[own][..., None]
-    return replace(problem, windows=windows, weight=weight)
+    windows = problem.windows
+    at, observed = (np.array(each)[windows.recording] for each in (order, seen))
+    weight = problem.weight[np.arange(len(windows))[:, None], at] * observed[..., None]
+    return replace(problem, windows=windows.arranged(at, observed), weight=weight)
 
 
 def forecast(problem: Problem, past: int, hypothesis: Hypothesis) -> Errors:
