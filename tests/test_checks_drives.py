@@ -11,7 +11,7 @@ import pytest
 
 from bo_sysid.checks.evidence import WiringEvidence
 from bo_sysid.checks.hypothesis import Wire
-from bo_sysid.checks.search import _other_units
+from bo_sysid.checks.moves import _other_units
 from bo_sysid.checks.traces import Traces
 from bo_sysid.checks.wiring import Wiring, find_wiring
 from bo_sysid.recording import Channel, Recording

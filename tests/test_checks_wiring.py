@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import takewhile
 from math import pi
 
@@ -17,9 +18,10 @@ from bo_sysid.checks.evidence import WiringEvidence
 from bo_sysid.checks.hypothesis import FREE, Wire, WiringHypothesis
 from bo_sysid.checks.motion import range_flags, turned_inside
 from bo_sysid.checks.motors import scaled
+from bo_sysid.checks.moves import moves
 from bo_sysid.checks.proposal import proposed_columns
 from bo_sysid.checks.rewired import rewired
-from bo_sysid.checks.search import SUSPICIOUS, moves, search
+from bo_sysid.checks.search import SUSPICIOUS, search
 from bo_sysid.checks.traces import Traces
 from bo_sysid.checks.wiring import Wiring, find_wiring
 from bo_sysid.checks.wiring_text import wire_flags
@@ -80,6 +82,45 @@ def recorded() -> Recording:
         qpos={"shoulder": qpos[:, 0], "elbow": qpos[:, 1]},
         qvel={"shoulder": qvel[:, 0], "elbow": qvel[:, 1]},
         ctrl={"a": ctrl[:, 0], "b": ctrl[:, 1]},
+    )
+
+
+SERVED = """
+<mujoco>
+  <option timestep="0.002" integrator="implicitfast"/>
+  <worldbody>
+    <body><joint name="shoulder" axis="0 1 0" damping=".05" armature=".008"/>
+      <geom type="capsule" fromto="0 0 0 .18 0 0" size=".012" mass=".22"/>
+      <body pos=".18 0 0"><joint name="elbow" axis="0 1 0" damping=".03" armature=".006"/>
+        <geom type="capsule" fromto="0 0 0 .15 0 0" size=".01" mass=".15"/></body></body>
+  </worldbody>
+  <actuator>
+    <position name="shoulder" joint="shoulder" kp="5" kv=".25"/>
+    <position name="elbow" joint="elbow" kp="3" kv=".15"/>
+  </actuator>
+</mujoco>
+"""
+
+
+def served() -> Recording:
+    """Return a log of two servos whose arm is a fifth heavier and rubs, sampled every 10 ms."""
+    model = Model.from_xml(SERVED)
+
+    def edit(spec: mujoco.MjSpec) -> None:
+        for geom, joint in zip(spec.geoms, spec.joints, strict=True):
+            geom.mass *= 1.2
+            joint.frictionloss = 0.05
+
+    time = np.arange(0.0, 12.0, 0.01)
+    ctrl = 0.5 * np.stack([tones(time, 1), tones(time, 2)], axis=1)
+    start = State(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 0)))
+    run = Engine(1).rollout(model.compile([edit]), start, np.repeat(ctrl, 5, axis=0)[None])
+    noise = 4e-4 * np.random.default_rng(0).standard_normal((len(time), 2))
+    names = ("shoulder", "elbow")
+    return Recording.from_arrays(
+        time,
+        qpos=dict(zip(names, (run.qpos[0, ::5][:-1] + noise).T, strict=True)),
+        ctrl=dict(zip(names, ctrl.T, strict=True)),
     )
 
 
@@ -355,6 +396,18 @@ def test_the_zero_of_an_encoder(zero: float) -> None:
     assert "A load that the model lacks, as a tool, or a base that is not level may look" in told
 
 
+@pytest.mark.parametrize("turn", [2 * pi, 5 * pi / 3])
+def test_servos_that_count_from_one_end_are_all_off_by_half_of_what_they_count(
+    turn: float,
+) -> None:
+    """One fault explains all four, where another zero of the shoulder alone did nearly as well."""
+    log = served()
+    counted = {n: replace(c, values=c.values + turn / 2) for n, c in log.channels.items()}
+    found = find_wiring(Model.from_xml(SERVED).compile(), [Recording("log", counted)])
+    offsets = {n: w.offset for n, w in found.wires.items()}
+    assert offsets == pytest.approx(dict.fromkeys(counted, -turn / 2), abs=0.02)
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_current_tells_the_constant_of_its_motor(sign: int) -> None:
     """One A gives 0.105 N m; the machine is a tenth heavier than the model."""
@@ -444,6 +497,9 @@ class Told(WiringEvidence):
         felt = {"qpos.a": 3.0, "qpos.b": 0.85}
         wrong = sum(size for n, size in felt.items() if h.wires[n] != Wire(n, -1))
         return wrong + 5.0 * np.minimum(np.abs(np.array(delays) - self.late) / 0.012, 1.0)
+
+    def value(self, h: WiringHypothesis, name: str, *, held: bool = False) -> np.ndarray:
+        return np.array([-1.0, 1.0])
 
     def shares(self, h: WiringHypothesis, delays) -> np.ndarray:
         return np.repeat(self.scores(h, delays)[:, None] > 0.1, 2, axis=1).astype(float)

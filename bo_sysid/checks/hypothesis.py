@@ -11,6 +11,8 @@ UNDONE: Mapping[str, Units] = {"rad": (("rad", 180 / pi),), "m": (("m", 1e3), ("
 """By SI unit, the ways back to it where deg, mm or cm was stated and is wrong."""
 INPUTS: Units = (("milli", 1e-3), ("%", 1e-2), ("PWM", 1 / 255))
 """Other units that a control may be in, with their SI values: mN m or mA, per cent, −255…255."""
+CENTRED = "angles counted from one end"
+"""The fault that all angles are off by half of what their servos count."""
 FREE = "of its own"
 """Unit of a motor's control whose value follows from the recordings (motors.py)."""
 

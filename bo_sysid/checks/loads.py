@@ -21,7 +21,7 @@ from bo_sysid.checks.balance import unexplained
 from bo_sysid.checks.evidence import FLOOR, WiringEvidence
 from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.hypothesis import WiringHypothesis
-from bo_sysid.checks.search import MARGIN
+from bo_sysid.checks.score import MARGIN
 
 _GRID = 0.25 * np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))  # of the model's extent
 _ROUNDS = 4  # of fits, each weighted by what the one before leaves

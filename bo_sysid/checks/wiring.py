@@ -18,8 +18,10 @@ from bo_sysid.checks.hypothesis import Wire, WiringHypothesis
 from bo_sysid.checks.limits import unlimited
 from bo_sysid.checks.loads import without_loads
 from bo_sysid.checks.motion import turned_inside
+from bo_sysid.checks.moves import zero_groups
 from bo_sysid.checks.rates import rate_flags
-from bo_sysid.checks.search import MARGIN, SUSPICIOUS, search, zero_groups
+from bo_sysid.checks.score import MARGIN
+from bo_sysid.checks.search import SUSPICIOUS, search
 from bo_sysid.checks.speeds import speed_wires
 from bo_sysid.checks.traces import LATEST, Traces, interval
 from bo_sysid.checks.wiring_text import (

@@ -9,7 +9,8 @@ import numpy as np
 
 from bo_sysid.checks.evidence import WiringEvidence
 from bo_sysid.checks.motion import beyond_range, turned_inside
-from bo_sysid.checks.search import MARGIN, SUSPICIOUS
+from bo_sysid.checks.score import MARGIN
+from bo_sysid.checks.search import SUSPICIOUS
 from bo_sysid.mjcf.joints import HINGE
 from bo_sysid.recording import Recording
 from bo_sysid.starter.guess import Rules
