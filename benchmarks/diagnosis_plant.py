@@ -1,7 +1,7 @@
 """A plant of the benchmark of the diagnosis: the nominal model with physics that it lacks.
 
-It is stepped at a quarter of a millisecond; friction may be LuGre instead of Coulomb, laws that are
-in no catalogue may act, and the log may be slow, fast or uneven.
+It is stepped at 50 us; friction may be LuGre instead of Coulomb, laws that are in no catalogue may
+act, and the log may be slow, fast or uneven.
 """
 
 from collections.abc import Sequence
@@ -15,8 +15,8 @@ from bo_sysid.effects import CATALOGUE, Filter, Force, Hidden, Machine, Reading,
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Channel, Recording
 
-_STEP = 2.5e-4  # [s] of a plant, an eighth of the models'; less where the log is faster
-_BRISTLES = 8  # times finer still, where bristles bend by .2 mrad within a step
+_STEP = 5e-5  # [s] of a plant, a fortieth of the models'; less where the log is faster
+_BRISTLES = 2  # times finer still, where bristles bend by .2 mrad within a step
 
 
 @dataclass(frozen=True)
