@@ -115,11 +115,15 @@ def test_a_urdf_gets_motors_where_a_column_may_tell_about_them(
     assert (passive in started.notes) == (not efforts)
 
 
-def test_a_machine_that_was_released_gets_no_motors(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "hung",
+    ['pos="0 .3 -.1"', 'pos="0 0 -.1"'],  # the second is its own mirror image
+)
+def test_a_machine_that_was_released_gets_no_motors(tmp_path: Path, hung: str) -> None:
     """A pendulum that swings as the model says: its driver was to be filled in."""
     (tmp_path / "rod.xml").write_text(
-        """<mujoco><option timestep="0.002"/><worldbody><body>
-        <joint name="swing" axis="1 0 0" damping=".002"/><geom size=".02" pos="0 .3 -.1" mass=".2"/>
+        f"""<mujoco><option timestep="0.002"/><worldbody><body>
+        <joint name="swing" axis="1 0 0" damping=".002"/><geom size=".02" {hung} mass=".2"/>
         </body></worldbody></mujoco>"""
     )
     model = Model.from_file(tmp_path / "rod.xml").compile()

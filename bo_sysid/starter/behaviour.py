@@ -100,8 +100,10 @@ def _judged(
     for n, g in guesses.items():
         share = tested.left.get(driven(model, n), 1.0)
         if n in tested.undetermined:
-            reason = f"{g.reason}; its sign is not told: {tested.undetermined[n]}"
-            g = replace(g, reason=reason, confidence=min(g.confidence, _LIKELY))
+            reason = f"its sign is not told: {tested.undetermined[n]}"
+            if n.startswith("qpos.") and share <= _AGREES:  # a mirror image of itself
+                reason = f"{_AGREED} (unexplained forces {share:.2g}), with either sign"
+            g = replace(g, reason=f"{g.reason}; {reason}", confidence=min(g.confidence, _LIKELY))
         elif share <= _AGREES and not g.reason.startswith(_MOVED):
             reason = f"{_AGREED} (unexplained forces {share:.2g})"
             if n in tested.mirrored:
