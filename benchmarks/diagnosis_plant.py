@@ -94,7 +94,6 @@ def _run(model, compiled, data, rig, tick, goal, parts, rng, sigma):
     encoders = _Encoders(model, compiled, parts)
     position = np.zeros((ends[-1], len(model.joints)))
     commanded = np.zeros((len(tick), len(model.actuators)))
-    applied = None
     if rig.gains is None:
         commanded = goal
         applied = _filtered(model, time, goal, filters, fine, ends[-1])
@@ -104,17 +103,19 @@ def _run(model, compiled, data, rig, tick, goal, parts, rng, sigma):
         past = _Causal(model, filters, time, fine)
         zero = np.array([offsets.get(f"qpos.{n}", 0.0) for n in model.joints])
     for k, (begin, end) in enumerate(zip(tick, ends, strict=True)):
-        if applied is None:
+        if rig.gains is None:
+            acting = applied[begin:end]
+        else:
             shown, speed = encoders.read(data)
             seen = shown + zero + sigma * rng.normal(size=len(shown))
             u = (kp * (goal[k] - seen) - kd * speed) / gear
             commanded[k] = u
+            acting = past(commanded, k, np.arange(begin, end))
         for at in range(begin, end):
             position[at] = encoders.read(data)[0]
-            now = applied[at] if applied is not None else past(commanded, k, at)
-            data.ctrl[: len(now)] = now
+            data.ctrl[: acting.shape[1]] = acting[at - begin]
             data.qfrc_applied[:] = 0
-            view = _View(model, encoders, data, at * fine, fine)
+            view = _View(model, encoders, data, at * fine, fine) if laws else None
             for law in laws:
                 j = encoders.qvel[model.joints.index(law.joint)]
                 data.qfrc_applied[j] += float(np.asarray(law.law(view)).ravel()[0])
@@ -186,8 +187,9 @@ class _Causal:
         self.model, self.filters, self.time, self.fine = model, filters, time, fine
         self.span = 200
 
-    def __call__(self, commanded: np.ndarray, k: int, at: int) -> np.ndarray:
-        now = commanded[k].copy()
+    def __call__(self, commanded: np.ndarray, k: int, at: np.ndarray) -> np.ndarray:
+        """Return what acts at the steps `at` within row `k`, one row a step."""
+        now = np.tile(commanded[k], (len(at), 1))
         first = max(k - self.span, 0)
         for f in self.filters:
             a = self.model.actuators.index(f.actuator)
@@ -195,7 +197,7 @@ class _Causal:
             time = np.append(self.time[first : k + 1], later)
             values = np.append(commanded[first : k + 1, a], commanded[k, a])
             changed = f.change(Channel(time, values, hold="zero"), self.fine)
-            now[a] = changed.at(np.array([at * self.fine + 1e-9]))[0]
+            now[:, a] = changed.at(at * self.fine + 1e-9)
         return now
 
 
