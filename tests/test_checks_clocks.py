@@ -20,3 +20,19 @@ def test_less_than_half_a_sample_is_no_other_clock(
 def test_a_short_delay_is_told_by_logs_that_resolve_it(least: float, told: float) -> None:
     late = {"ctrl.a": Estimate(-0.0035, 2e-4), "ctrl.b": Estimate(-0.0035, 2e-4)}
     assert clock_of(late, least).delay == pytest.approx(told)
+
+
+@pytest.mark.parametrize(
+    ("early", "sampling", "half"),
+    [
+        (0.0031, 0.005, True),
+        (0.0031, 0.002, False),  # more than an interval: another clock
+        (0.009, 0.005, False),
+        (-0.0031, 0.005, False),  # late
+    ],
+)
+def test_half_an_interval_early_is_what_changes_between_samples(
+    early: float, sampling: float, half: bool
+) -> None:
+    late = {"ctrl.a": Estimate(-early, 2e-4), "ctrl.b": Estimate(-early, 2e-4)}
+    assert clock_of(late, LATE, sampling).half_early == half

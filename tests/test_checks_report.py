@@ -5,6 +5,7 @@ import sys
 from dataclasses import replace
 from math import pi
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -323,6 +324,17 @@ def test_a_proposal_has_no_keys_at_their_defaults() -> None:
         "ctrl.m": {"from": "i", "missing": "skip", "sign": -1},
     }
     assert proposed_clocks(written["clocks"], "ctrl", 0.004) == {"ctrl": {"shift": 0.005}}
+
+
+@pytest.mark.parametrize("written", [{}, {"qpos": {"shift": 0.1}}])
+def test_controls_that_change_between_samples_get_no_shift(written: dict[str, Any]) -> None:
+    assert proposed_clocks(written, "ctrl", -0.003, linear=True) == {"ctrl": {"hold": "linear"}}
+
+
+@pytest.mark.parametrize("own", [{"shift": 0.001}, {"hold": "zero"}])
+def test_what_a_study_says_of_its_controls_is_kept(own: dict[str, Any]) -> None:
+    (rule,) = proposed_clocks({"ctrl": own}, "ctrl", -0.003, linear=True).values()
+    assert rule == {**own, "shift": pytest.approx(own.get("shift", 0.0) - 0.003)}
 
 
 def test_a_delay_is_proposed_for_controls_with_a_clock_of_their_own_too() -> None:

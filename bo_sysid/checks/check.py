@@ -131,7 +131,7 @@ def check(study: Study, *, strict: bool = False, progress: OnProgress = silent) 
         tuple(sorted(flags, key=lambda f: _ORDER[f.level])),
         wiring,
         proposed_columns(written.get("columns", {}), wires, wraps),
-        proposed_clocks(written.get("clocks", {}), kind, wiring.delay),
+        proposed_clocks(written.get("clocks", {}), kind, wiring.delay, linear=wiring.half_early),
         motion,
         predicted.identifiability,
         predicted.step,

@@ -12,6 +12,7 @@ from bo_sysid.checks.traces import LATEST
 LATE = 2.5e-3  # [s] a delay below is not worth a word
 _UNTOLD = 0.5  # share of (sampling interval + time step), below which a delay is not reported
 _SURE = 4.0  # standard deviations that a delay must differ from nothing, or from another
+_HALF = 0.2  # of an interval, about half of one, by which what changes between samples is early
 _APART = 5e-3  # [s] from which on one control's delay is told apart from the others'
 _FLOOR = 3e-4  # [s] what the model's step leaves undecided about a delay
 _SIDES = {
@@ -32,17 +33,28 @@ class Clock:
         apart: delays that differ from it, by control.
         shared: whether more than half of the controls agree, so that it is their clock's.
         least: the shortest delay that is told, in [s].
+        sampling: interval between the controls' samples, in [s].
     """
 
     common: Estimate
     apart: Mapping[str, Estimate] = field(default_factory=dict)
     shared: bool = True
     least: float = LATE
+    sampling: float = 0.0
 
     @property
     def delay(self) -> float:
         """How much later than stamped all controls act, in [s]; 0 where that is not certain."""
         return self.common.value if self.shared and self.certain(self.common) else 0.0
+
+    @property
+    def half_early(self) -> bool:
+        """Whether controls act half an interval early: what changes linearly between samples does.
+
+        Held until the next sample, what was measured is late by that on the mean.
+        """
+        off = abs(self.common.value + 0.5 * self.sampling)
+        return self.delay < 0 and off < max(_HALF * self.sampling, 2 * self.common.sigma)
 
     def certain(self, e: Estimate) -> bool:
         """Whether a delay is told from none."""
@@ -58,12 +70,13 @@ def least_delay(sampling: float, timestep: float) -> float:
     return max(LATE, _UNTOLD * (sampling + timestep))
 
 
-def clock_of(late: Mapping[str, Estimate], least: float = LATE) -> Clock:
+def clock_of(late: Mapping[str, Estimate], least: float = LATE, sampling: float = 0.0) -> Clock:
     """Return the clock that controls share, from the delay of each that tells one.
 
     Args:
         late: of each control.
         least: the shortest delay that is told, in [s].
+        sampling: interval between the controls' samples, in [s].
     """
     late = {n: e for n, e in late.items() if np.isfinite(e.sigma)}
     if not late:
@@ -75,7 +88,7 @@ def clock_of(late: Mapping[str, Estimate], least: float = LATE) -> Clock:
     weight = 1 / sigmas[near] ** 2
     common = Estimate(float(weight @ values[near] / weight.sum()), float(weight.sum() ** -0.5))
     apart = {n: e for n, e in late.items() if _differ(e, common)}
-    return Clock(common, apart, 2 * len(apart) < len(late), least)
+    return Clock(common, apart, 2 * len(apart) < len(late), least, sampling)
 
 
 def _weighted_median(values: np.ndarray, weight: np.ndarray) -> float:
@@ -96,6 +109,7 @@ def clock_flags(clock: Clock, late: Mapping[str, Estimate]) -> list[Flag]:
     flags = []
     if clock.delay:
         side, cause = _SIDES[clock.delay > 0]
+        cause += ", by half an interval as these are (hold: linear)" * clock.half_early
         size = Estimate(abs(clock.delay), clock.common.sigma)
         sentence = f"The controls act {_estimate_text(size)} {side} than their stamps say: another "
         evidence = {"delay": clock.delay, "sigma": clock.common.sigma}

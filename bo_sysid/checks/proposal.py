@@ -79,14 +79,17 @@ def _unwrap(period: float) -> bool | float:
 
 
 def proposed_clocks(
-    written: Mapping[str, Mapping[str, Any]], kind: str, delay: float
+    written: Mapping[str, Mapping[str, Any]], kind: str, delay: float, *, linear: bool = False
 ) -> dict[str, Rule]:
     """Return the clocks of the controls with `delay` [s] more in their shifts, which may end.
 
-    A control with a rule of its own does not follow that of its kind.
+    A control with a rule of its own does not follow that of its kind. With `linear` they change
+    between samples instead, where the study says nothing of them.
     """
     if not delay:
         return {}
+    if linear and not any(name.split(".")[0] == kind for name in written):
+        return {kind: {"hold": "linear"}}
     own = [name for name in written if name.startswith(f"{kind}.")]
     return {name: _later(written.get(name, {}), delay) for name in (kind, *own)}
 

@@ -53,6 +53,7 @@ class Wiring:
         wires: by channel, what it should be read from, for those that are not what they are called.
         delay: how much later than stamped the controls act, in [s]; 0 where that is not certain.
         sigma: standard deviation of that delay, in [s].
+        half_early: whether that delay is what is due to controls that change between samples.
         delays: one row a control: control, delay [ms], sigma [ms].
         balance: one row a joint: joint, before and after (J, see balance.py), used.
         flags: what was found, in words.
@@ -61,6 +62,7 @@ class Wiring:
     wires: Mapping[str, Wire]
     delay: float
     sigma: float
+    half_early: bool
     delays: pd.DataFrame
     balance: pd.DataFrame
     flags: tuple[Flag, ...]
@@ -98,9 +100,8 @@ def find_wiring(
     speeds, correlations = speed_wires(traces, found, sorted(fine.hinges))
     wires = {n: w for n, w in {**found.wires, **speeds}.items() if not w.plain(n)}
     explained = {n: e for n, e in late.items() if left[fine.dof(n)] <= SUSPICIOUS}
-    clock = clock_of(
-        explained, least_delay(interval(recordings, traces.measured), model.opt.timestep)
-    )
+    sampling = interval(recordings, traces.measured)
+    clock = clock_of(explained, least_delay(sampling, model.opt.timestep), sampling)
     stamped = fine.shares(before, [before.delay])[0]
     balance = pd.DataFrame(
         {"joint": fine.joints, "before": stamped, "after": left, "used": fine.weights > 0}
@@ -116,7 +117,9 @@ def find_wiring(
     flags = [*wire_flags(wires, balance, gives), *loads, *clock_flags(clock, explained)]
     flags += [*twin_flags(twins), *speed_flags(correlations), *balance_flags(balance, fine.still)]
     flags += untested_flags(fine)
-    return Wiring(wires, clock.delay, clock.common.sigma, table, balance, tuple(flags))
+    return Wiring(
+        wires, clock.delay, clock.common.sigma, clock.half_early, table, balance, tuple(flags)
+    )
 
 
 def _comparable(
@@ -155,7 +158,7 @@ def _score(choice: tuple[mujoco.MjModel, Traces], laws: Laws | None) -> float:
 def _untested(reason: str, rates: tuple[Flag, ...]) -> Wiring:
     empty = pd.DataFrame({"control": [], "delay": [], "sigma": []})
     balance = pd.DataFrame({"joint": [], "before": [], "after": [], "used": []})
-    return Wiring({}, 0.0, np.inf, empty, balance, (not_tested(reason), *rates))
+    return Wiring({}, 0.0, np.inf, False, empty, balance, (not_tested(reason), *rates))
 
 
 def _left(

@@ -71,7 +71,7 @@ def _wired(model: Model, tables: Sequence[RawTable], rules: Rules) -> tuple[Rule
         moved = wire is not None and bool(wire.offset)
         reason += f"; {LOADED}" if moved else ""
         guesses[channel] = Guess(channel, column, "", reason, _OPEN if moved else 0.8)
-    clocks = proposed_clocks({}, "ctrl", wiring.delay)
+    clocks = proposed_clocks({}, "ctrl", wiring.delay, linear=wiring.half_early)
     if clocks:
         guesses["clocks.ctrl"] = Guess("clocks.ctrl", "", "", _late(wiring), _LIKELY)
     columns = {**rules.columns, **changed}
@@ -81,6 +81,11 @@ def _wired(model: Model, tables: Sequence[RawTable], rules: Rules) -> tuple[Rule
 def _late(wiring: Wiring) -> str:
     """Return when the controls act, in words."""
     delay = f"{1e3 * abs(wiring.delay):.1f} ms (± {1.96e3 * wiring.sigma:.1f})"
+    if wiring.half_early:
+        return (
+            f"{delay} earlier than stamped, about half an interval: what is measured and changes "
+            "between samples looks so. Of commands that are held, remove this"
+        )
     if wiring.delay > 0:
         return (
             f"{delay} later than stamped. Where the machine is late and not the clock of the log, "
