@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -21,62 +21,16 @@ from bo_sysid.mjcf.compiling import (
     refit_keyframes,
     spec_xml,
 )
-from bo_sysid.mjcf.derived import settle
 from bo_sysid.mjcf.export import attached_folders, write_mjcf
-from bo_sysid.mjcf.inertia import drop_overruled_inertials, release_total_mass, same_inertia
+from bo_sysid.mjcf.forms import Forms
+from bo_sysid.mjcf.inertia import same_inertia
 from bo_sysid.mjcf.loops import Loops
-from bo_sysid.mjcf.strip import stripped
 
 Edit = Callable[[mujoco.MjSpec], None]
 """Changes a spec in place; may be called more than once in a compilation, on fresh copies.
 
 One with an attribute `moves_mass` that is false says that it changes no mass, size or density;
 models that use `settotalmass` then compile once instead of twice."""
-
-
-@dataclass(frozen=True, eq=False)
-class Forms:
-    """The forms in which a model keeps its spec; private to this package, never changed.
-
-    Attributes:
-        full: as read, elements named, what MuJoCo derives from masses and poses settled.
-        lean: `full` without what only the eye needs.
-        full_base: what mass edits start from: `full` with its masses released from
-            `settotalmass`; `full` itself where the model does not use that.
-        base: the same of `lean`.
-        model: `lean` compiled.
-        base_model: `base` compiled.
-        resolved: targets by address (address.py), filled as they are asked for.
-    """
-
-    full: mujoco.MjSpec
-    lean: mujoco.MjSpec
-    full_base: mujoco.MjSpec
-    base: mujoco.MjSpec
-    model: mujoco.MjModel
-    base_model: mujoco.MjModel
-    resolved: dict[str, Any] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, spec: mujoco.MjSpec, source: str) -> "Forms":
-        """Return the forms of a spec that was just read.
-
-        Raises:
-            ModelError: it does not compile.
-        """
-        compile_spec(spec, source)  # a copy silently drops what refers to nothing
-        full = spec.copy()
-        drop_overruled_inertials(full)
-        settle(
-            full, compile_spec(full, source)
-        )  # which numbers the elements and fuses static bodies
-        sources.name_elements(full)
-        lean = stripped(full)
-        model = compile_spec(lean, source)
-        if full.compiler.settotalmass <= 0:
-            return cls(full, lean, full, lean, model, model)
-        full_base, base = release_total_mass(full, source), release_total_mass(lean, source)
-        return cls(full, lean, full_base, base, model, compile_spec(base, source))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +53,7 @@ class Model:
     _spec: InitVar[mujoco.MjSpec]
     unrecorded: Mapping[str, str | None] = field(default_factory=dict)
     attached: Sequence[Path] = ()
-    _forms: "Forms" = field(init=False, repr=False)
+    _forms: Forms = field(init=False, repr=False)
 
     def __post_init__(self, _spec: mujoco.MjSpec) -> None:
         object.__setattr__(self, "_forms", Forms.of(_spec, self.source))

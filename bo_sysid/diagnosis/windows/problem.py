@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from bo_sysid.deviation.measure import blocks_of
 from bo_sysid.diagnosis.windows.candidate import Candidate
-from bo_sysid.diagnosis.windows.commanded import changed_activations, commanded
+from bo_sysid.diagnosis.windows.commanded import Told, changed_activations, commanded
 from bo_sysid.diagnosis.windows.coordinates import Coordinates, transmitted
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.windows.kept_fits import NO_CACHE, FitCache
@@ -18,17 +18,14 @@ from bo_sysid.diagnosis.windows.observation import observe, undone
 from bo_sysid.diagnosis.windows.process_noise import ProcessNoise
 from bo_sysid.diagnosis.windows.recent import Recent
 from bo_sysid.diagnosis.windows.timestep import refined
-from bo_sysid.effects import Filter, Machine, Part
+from bo_sysid.effects import Machine, Part
 from bo_sysid.effects.readings import readings
 from bo_sysid.errors import ModelError
 from bo_sysid.mjcf import Loops, Model
 from bo_sysid.recording import Recording
-from bo_sysid.recording.alignment import control_steps
 from bo_sysid.simulation import Controller, Engine, ForceLaw, State, Trajectory
 from bo_sysid.simulation.activations import activations_of
 from bo_sysid.simulation.bristles import with_loaded_bristles
-from bo_sysid.simulation.cutting import controls
-from bo_sysid.simulation.delays import remembered_steps
 from bo_sysid.simulation.lockstep import force_laws
 from bo_sysid.simulation.windows import Layout, Windows
 
@@ -194,57 +191,19 @@ class Problem:
             tried = ", ".join(f"{c.effect.id} at {c.site}" for c in hypothesis.members)
             raise ModelError(f"{error}; tried was {tried}" if tried else str(error)) from None
 
+    @cached_property
+    def told(self) -> Told:
+        """What the actuators were told, as recorded and behind filters."""
+        with_law = [w.actuator for w in self.laws if isinstance(w, Controller)]
+        return Told(self.model, self.machine.model, self.recordings, with_law)
+
     def controls(self, parts: Sequence[Part], windows: Windows) -> Float[np.ndarray, "W S nu"]:
         """Return the windows' controls after the filters among `parts`, less noise of theirs."""
-        ctrl = self._filtered(parts, windows, windows.ctrl, windows.time)
+        ctrl = self.told.filtered(parts, windows, windows.ctrl, windows.time)
         if self.process is None:
             return ctrl
         finer = ctrl.shape[1] // self.process.controls.shape[1]
         return np.asarray(ctrl + np.repeat(self.process.controls, finer, axis=1))
-
-    def _after(
-        self, model: mujoco.MjModel, parts: Sequence[Part], windows: Windows, start: State
-    ) -> State:
-        """Return starts that remember the controls before them at the windows' time step."""
-        past, late = windows.start.past, remembered_steps(model)
-        if not late:
-            return start
-        if past is None or past.shape[1] < late:  # parameters may have a longer delay
-            past = self._before(windows, late)
-        before = windows.time - past.shape[1] * windows.timestep
-        return replace(start, past=self._filtered(parts, windows, past, before))
-
-    def _before(self, windows: Windows, steps: int) -> Float[np.ndarray, "W D nu"]:
-        """Return the recorded controls of the last steps before each window."""
-        dt, start = windows.timestep, windows.time - steps * windows.timestep
-        with_law = [w.actuator for w in self.laws if isinstance(w, Controller)]
-        past = np.zeros((len(windows), steps, windows.ctrl.shape[2]))
-        for i, recording in enumerate(self.recordings):
-            own = windows.recording == i
-            past[own] = controls(
-                self.model, self.machine.model, recording, start[own], steps, dt, with_law
-            )
-        return past
-
-    def _filtered(
-        self,
-        parts: Sequence[Part],
-        windows: Windows,
-        recorded: Float[np.ndarray, "W S nu"],
-        start: Float[np.ndarray, " W"],
-    ) -> Float[np.ndarray, "W S nu"]:
-        """Return controls of S steps from `start` on after the filters among `parts`."""
-        filtered = dict.fromkeys(p.actuator for p in parts if isinstance(p, Filter))
-        if not filtered:
-            return recorded
-        ctrl, dt = recorded.copy(), windows.timestep
-        for i, recording in enumerate(commanded(self.recordings, parts, dt)):
-            own = windows.recording == i
-            for actuator in filtered:
-                column = self.model.ctrl_channels.index(f"ctrl.{actuator}")
-                channel = recording.channels[f"ctrl.{actuator}"]
-                ctrl[own, :, column] = control_steps(channel, start[own], ctrl.shape[1], dt)
-        return ctrl
 
     def _activated(
         self, model: mujoco.MjModel, parts: Sequence[Part], windows: Windows, start: State,
@@ -271,7 +230,8 @@ class Problem:
 
     def _simulated(self, hypothesis: Hypothesis, start: State, windows: Windows) -> "Simulated":
         model, parts = self.compiled(hypothesis, windows.timestep)
-        ctrl, start = self.controls(parts, windows), self._after(model, parts, windows, start)
+        ctrl = self.controls(parts, windows)
+        start = self.told.remembered(model, parts, windows, start)
         coordinates = Coordinates.between(self.machine.model, model, parts)
         start = self._activated(model, parts, windows, start, ctrl, coordinates)
         torque = self._transmitted(hypothesis, start, ctrl, coordinates)
