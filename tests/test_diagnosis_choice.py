@@ -6,7 +6,8 @@ import mujoco
 import numpy as np
 import pandas as pd
 import pytest
-from diagnosis_helpers import ARM, SIGMA, arm, candidate, record
+from choice_machines import located, walled
+from diagnosis_helpers import SIGMA, arm, candidate, record
 from numpy.testing import assert_allclose
 
 from bo_sysid.diagnosis.answer.answer import make_answer
@@ -26,36 +27,21 @@ from bo_sysid.diagnosis.answer.hints import (
     stuck_joints,
     unswept_cogging,
 )
-from bo_sysid.diagnosis.answer.holdout import Holdout
-from bo_sysid.diagnosis.answer.judge import beyond
 from bo_sysid.diagnosis.answer.sentences import disputed_sentence, doubts, rivals
 from bo_sysid.diagnosis.answer.unexplained import Unexplained
-from bo_sysid.diagnosis.search import sharpen
-from bo_sysid.diagnosis.search.locate import Located, locate
+from bo_sysid.diagnosis.search.locate import Located
 from bo_sysid.diagnosis.search.moves import fit_some
-from bo_sysid.diagnosis.search.search import Search
-from bo_sysid.diagnosis.search.sharpen import repeated_anew, sharpened
-from bo_sysid.diagnosis.search.variants import simplify
 from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.meshing import backlash_suspects
-from bo_sysid.diagnosis.sets.refit import Effort
-from bo_sysid.diagnosis.unexplained.missing_force import explained, missing_force
+from bo_sysid.diagnosis.unexplained.missing_force import missing_force
 from bo_sysid.diagnosis.windows.evidence import make_evidence
-from bo_sysid.diagnosis.windows.forecast import AHEAD, LONGER
 from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.effects import CATALOGUE, survey
 from bo_sysid.mjcf import Model
-from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import Controller
 from bo_sysid.study.outer import Limit
-
-
-def located(*recordings, effects) -> Located:
-    noise = {"qpos": SIGMA}
-    chosen = [CATALOGUE[e] for e in effects]
-    return locate(make_evidence(arm(), recordings, effects=chosen, noise=noise, threads=1))
 
 
 @pytest.fixture(scope="module")
@@ -187,33 +173,6 @@ def test_what_no_motion_separates_is_said_in_words(rotor) -> None:
     assert {e["effect"] for s in found.separates for e in s} == {"armature", "link_inertia"}
 
 
-def test_postures_are_not_asked_of_a_body_that_only_slides() -> None:
-    """A load on a cart and its mass are one thing, whatever is recorded."""
-    text = (
-        '<mujoco><worldbody><body name="cart"><joint name="x" type="slide" axis="1 0 0" '
-        'damping="1"/><geom size=".1" mass="{}"/></body></worldbody>'
-        '<actuator><motor name="x" joint="x"/></actuator></mujoco>'
-    )
-    plant = mujoco.MjModel.from_xml_string(text.format(1.3))
-    time = plant.opt.timestep * np.arange(3000)
-    data, ctrl, q = mujoco.MjData(plant), np.sin(4 * time), []
-    for u in ctrl:
-        q.append(data.qpos[0])
-        data.ctrl[:] = u
-        mujoco.mj_step(plant, data)
-    noisy = np.array(q) + 1e-4 * np.random.default_rng(0).standard_normal(3000)
-    log = Recording.from_arrays(time, qpos={"x": noisy}, ctrl={"x": ctrl})
-    cart = Model.from_xml(text.format(1))
-    effects = [CATALOGUE["payload"], CATALOGUE["link_mass"]]
-    answer = locate(make_evidence(cart, [log], effects=effects, noise={"qpos": 1e-4}, threads=1))
-    (found,) = answer.decision.best.hypothesis.x
-    assert found[0] == pytest.approx(0.3, abs=0.01)
-    assert answer.decision.equivalents
-    said = next_experiment(answer, explain(answer), {}).sentence
-    assert "tells a payload at the cart from mass at the cart" in said
-    assert "posture" not in said
-
-
 def test_a_tilt_that_the_first_encoder_copies_stands_in_one_class_with_it() -> None:
     tilt = [("gravity_tilt", "world", "world", [0.0, 0.0685])]
     made = located(record(tilt, duration=6.0), effects=("gravity_tilt", "encoder_offset"))
@@ -247,16 +206,6 @@ def test_a_motion_is_proposed_that_tells_and_keeps_the_limits(friction) -> None:
         assert np.abs(data.qpos).max() < 0.62
 
 
-def walled() -> Model:
-    """Return the arm between two walls that its hand reaches at .4 rad."""
-    walls = "".join(
-        f'<geom type="box" size=".01 1 1" pos="{x} 0 -.5" contype="1" conaffinity="1"/>'
-        for x in (-0.2, 0.2)
-    )
-    text = ARM.read_text().replace("<worldbody>", f"<worldbody>{walls}", 1)
-    return Model.from_xml(text.replace('mass="0.6"', 'mass="0.6" contype="1" conaffinity="1"'))
-
-
 def touched(model: mujoco.MjModel, controls: pd.DataFrame) -> bool:
     """Return whether anything touches while the arm follows controls."""
     model.dof_frictionloss[1] = 0.02
@@ -280,21 +229,6 @@ def test_no_motion_is_proposed_in_which_parts_of_the_machine_would_touch(frictio
     clear = next_experiment(between, outcome, {}).controls
     assert clear is not None
     assert not touched(walled().compile(), clear)
-
-
-def test_a_hold_out_in_which_something_touches_is_judged_with_contact() -> None:
-    t = np.arange(0, 3, 0.01)
-
-    def swinging(far: float) -> Recording:
-        moved = {"shoulder": far * np.sin(4 * t), "elbow": far * np.cos(3 * t)}
-        return Recording.from_arrays(t, qpos=moved, ctrl=moved)
-
-    evidence = make_evidence(walled(), [swinging(0.1)], threads=1)
-    assert not can_touch(evidence.machine.model)
-    assert evidence.with_contact_of([swinging(0.2)]) is evidence
-    whole = evidence.with_contact_of([swinging(1.0)])
-    assert whole.model is evidence.given
-    assert can_touch(whole.machine.model)
 
 
 def test_what_recordings_disagree_on_is_no_finding_and_is_left_unexplained() -> None:
@@ -624,121 +558,6 @@ def test_a_delay_is_named_and_nothing_else_is_flagged(late: float) -> None:
     assert not outcome.unexplained.flagged
 
 
-@pytest.mark.parametrize(
-    ("parameters", "nominal", "after", "words"),
-    [
-        (True, 20.0, 1.1, "falls from 20 to 1.1 sensor sigmas"),
-        (True, 20.3, 1.1, "falls from 20.3 to 1.1 sensor sigmas"),  # as the table has it
-        (True, 60.0, 1.1, "falls from 60 (20 with the study's parameters fitted) to 1.1 sensor"),
-        (False, 60.0, 1.1, "falls from 60 (20 with a finer time step) to 1.1 sensor"),
-        (True, 60.0, 20.0, "falls from 60 to 20 sensor sigmas"),
-        (False, 60.0, 20.0, "falls from 60 to 20 sensor sigmas"),
-        (True, 20.0, 20.0, "goes from 20 to 20 sensor sigmas"),
-    ],
-)
-def test_what_parameters_and_the_time_step_do_is_said(parameters, nominal, after, words) -> None:
-    models = {"nominal": nominal, "refitted": 20.0, "repaired": after, "noise_floor": 1.0}
-    rows = [
-        {"measure": "forecast", "horizon_s": AHEAD, "model": m, "error": e, "unit": ""}
-        for m, e in models.items()
-    ]
-    told = Holdout(pd.DataFrame(rows), {}, pd.DataFrame(), parameters=parameters)
-    assert words in told.sentences[0]
-
-
-@pytest.mark.parametrize(
-    ("after", "said"),
-    [(1.1, ""), (4.0, "The floor is not reached"), (30.0, "does not confirm the repair")],
-)
-def test_a_forecast_that_misses_the_floor_is_said(after: float, said: str) -> None:
-    models = {"refitted": 20.0, "repaired": after, "noise_floor": 1.0}
-    rows = [
-        {"measure": "forecast", "horizon_s": AHEAD, "model": m, "error": e, "unit": ""}
-        for m, e in models.items()
-    ]
-    first, *more = Holdout(pd.DataFrame(rows), {}, pd.DataFrame()).sentences
-    assert first.startswith("Forecast error on the unseen recording")
-    assert [said in m for m in more] == ([True] if said else [])
-
-
-@pytest.mark.parametrize("after", [1.1, 4.0])
-def test_a_hold_out_of_another_rate_is_what_is_said_where_the_floor_is_missed(
-    after: float,
-) -> None:
-    models = {"refitted": 20.0, "repaired": after, "noise_floor": 1.0}
-    rows = [
-        {"measure": "forecast", "horizon_s": AHEAD, "model": m, "error": e, "unit": ""}
-        for m, e in models.items()
-    ]
-    told = Holdout(pd.DataFrame(rows), {}, pd.DataFrame(), rates="It is slow.").sentences[1:]
-    said = "It is slow. What is left may be that: record both at one rate."
-    assert told == ((said,) if after > 2 else ())
-
-
-def test_a_repair_that_makes_longer_windows_worse_is_not_confirmed() -> None:
-    errors = {"refitted": (1.1, 1.06), "repaired": (1.0, 3.68), "noise_floor": (1.0, 1.0)}
-    rows = [
-        {"measure": measure, "horizon_s": ahead, "model": m, "error": e[k], "unit": ""}
-        for m, e in errors.items()
-        for k, (measure, ahead) in enumerate([("forecast", AHEAD), ("fit", LONGER)])
-    ]
-    said = Holdout(pd.DataFrame(rows), {}, pd.DataFrame()).sentences[1]
-    assert "follows the unseen recording worse than without what was found (3.68 for 1.06" in said
-    assert "does not confirm the repair" in said
-
-
-@pytest.mark.parametrize(("after", "missed"), [(1.3, False), (3.68, True)])
-def test_longer_forecasts_that_miss_the_floor_are_told(after: float, missed: bool) -> None:
-    errors = {"refitted": (1.1, after), "repaired": (1.1, after), "noise_floor": (1.0, 1.06)}
-    rows = [
-        {"measure": "forecast", "horizon_s": ahead, "model": m, "error": e[k], "unit": ""}
-        for m, e in errors.items()
-        for k, ahead in enumerate([AHEAD, LONGER])
-    ]
-    said = Holdout(pd.DataFrame(rows), {}, pd.DataFrame()).sentences[1:]
-    assert said == (
-        f"Over {LONGER:g} s 3.68 sensor sigmas are left, where the floor is 1.06: these "
-        "recordings do not show all that is missing.",
-    ) * missed  # fmt: skip
-
-
-@pytest.mark.parametrize("after", [1.1, 4.0])
-def test_where_the_hold_out_goes_and_no_training_recording_went_is_said(after: float) -> None:
-    models = {"refitted": 20.0, "repaired": after, "noise_floor": 1.0}
-    rows = [
-        {"measure": "forecast", "horizon_s": AHEAD, "model": m, "error": e, "unit": ""}
-        for m, e in models.items()
-    ]
-    time = np.linspace(0.0, 1.0, 101)
-    known, unseen = (
-        Recording.from_arrays(
-            time, qpos={"elbow": amplitude * time, "shoulder": 0.1 * time}, ctrl={}
-        )
-        for amplitude in (1.0, 2.0)
-    )
-    shares = beyond([known], [unseen], survey(arm().compile(), [known]).joints)
-    assert shares == {"elbow": pytest.approx(50 / 101)}
-    said = Holdout(pd.DataFrame(rows), {}, pd.DataFrame(), beyond=shares).sentences[1:]
-    told = "The unseen recording goes where no training recording was: the elbow in 50% of it."
-    assert (told in said) == (after > 2)
-
-
-@pytest.mark.parametrize(("kind", "turned", "told"), [
-    ("hinge", 1.2, {}), ("hinge", 0.8, {"wheel": 1.0}), ("slide", 1.2, {"wheel": 1.0}),
-])  # fmt: skip
-def test_a_wheel_that_has_gone_round_comes_to_no_new_place(kind, turned, told) -> None:
-    model = mujoco.MjModel.from_xml_string(
-        f'<mujoco><worldbody><body><joint name="wheel" type="{kind}"/><geom size=".1"/></body>'
-        "</worldbody></mujoco>"
-    )
-    time = np.linspace(0.0, 1.0, 101)
-    known, unseen = (
-        Recording.from_arrays(time, qpos={"wheel": 2 * np.pi * turned * (time + begin)})
-        for begin in (0.0, 1.01)  # it turns on
-    )
-    assert beyond([known], [unseen], survey(model, [known]).joints) == told
-
-
 def test_a_machine_without_hinges_and_slides_has_no_missing_force_at_joints(friction) -> None:
     recorded = record([("dry_friction", "joint", "elbow", [0.02])], duration=6.0)
     evidence = make_evidence(arm(), [recorded], noise={"qpos": SIGMA}, threads=1)
@@ -766,29 +585,6 @@ def test_missing_forces_are_those_of_the_model_with_its_controllers(friction) ->
     assert_allclose(found["nominal"], expected["nominal"], rtol=1e-6, atol=1e-9)
 
 
-def test_forces_that_impacts_hide_are_as_unknown_as_before() -> None:
-    """One response as any other, one that is huge and alike for both joints, one that diverges."""
-    rng = np.random.default_rng(0)
-    A = rng.normal(size=(3, 40, 2))
-    truth = np.array([0.5, -1.0])
-    A[1] = 1e8 * A[1, :, :1]
-    A[2] = np.inf
-    y = np.array([A[0] @ truth, A[1] @ truth, np.ones(40)])
-    force, sigma = explained(A, y)
-    exact = np.linalg.inv(A[0].T @ A[0] + np.eye(2) / 9)
-    assert_allclose(force[0], exact @ A[0].T @ y[0])
-    assert_allclose(sigma[0], np.sqrt(np.diag(exact)))
-    assert_allclose(force[1].sum(), truth.sum(), rtol=1e-6)  # all that the second tells
-    assert_allclose(sigma[1], 3.0 / np.sqrt(2), rtol=1e-6)
-    assert_allclose(force[2], 0.0)
-    assert_allclose(sigma[2], 3.0)
-
-
-def test_a_study_that_looks_for_no_effect_has_no_candidates() -> None:
-    evidence = make_evidence(arm(), [record(duration=2.0)], effects=(), threads=1)
-    assert evidence.candidates == ()
-
-
 def test_a_fit_is_kept_with_the_candidates_that_are_listed(friction) -> None:
     """An equal candidate, made anew, is found in the list by identity."""
     search = friction.search
@@ -797,92 +593,3 @@ def test_a_fit_is_kept_with_the_candidates_that_are_listed(friction) -> None:
     search.listed(replace(best, hypothesis=replace(best.hypothesis, members=again)))
     for c in search.fits[best.key].members:
         assert any(c is listed for listed in search.candidates)
-
-
-def test_a_period_between_those_of_the_grid_needs_no_second_name() -> None:
-    missing = [("cogging", "joint", "elbow", [0.003, -0.068, 1.52])]
-    found = located(
-        record(missing, duration=6.0), effects=("cogging", "constant_force", "joint_spring")
-    )
-    (name,) = found.decision.best.members
-    assert (name.effect.id, name.site.name) == ("cogging", "elbow")
-    assert name.shapes[0] == pytest.approx(1.52, rel=0.02)
-    np.testing.assert_allclose(found.decision.best.x[0], [0.003, -0.068], atol=0.003)
-
-
-def test_a_period_is_sharpened_whatever_the_order_in_which_a_set_was_first_fitted(monkeypatch):
-    missing = [("cogging", "joint", "elbow", [0.0, 0.05, 4.0])]
-    found = located(
-        record(missing, duration=6.0), effects=("cogging", "dry_friction", "viscous_damping")
-    )
-    (cogging,) = found.decision.best.members
-    at = {c.effect.id: c for c in found.search.candidates if c.site.name == "elbow"}
-    friction, damping = at["dry_friction"], at["viscous_damping"]
-    first = found.decision.best.x[0]
-    search, little = found.search, np.array([1e-3])
-    before = search.fit((cogging, damping), (first, little)).members
-    leader = search.fit((friction, damping, cogging), (little, little, first))
-    assert before == (cogging, damping)
-    assert leader.members[1:] == (damping, cogging)
-    monkeypatch.setattr(Search, "best", leader)
-    sharpened(search)
-    rest = {k: f for k, f in search.fits.items() if k != leader.key}
-    assert min(f.rms for f in rest.values()) <= found.decision.best.rms * 1.001
-
-
-@pytest.mark.parametrize("last", [48.0, 3.0], ids=["in the grid", "beyond it"])
-def test_a_period_that_a_part_of_the_windows_left_is_looked_for_again(last: float) -> None:
-    """From one far off, where no small change of it leads to the one that is there."""
-    missing = [("cogging", "joint", "elbow", [0.0, 0.05, 7.0])]
-    found = located(record(missing, duration=6.0), effects=("cogging", "constant_force"))
-    (right,), search = found.decision.best.members, found.search
-    grid = tuple(g for g in right.extent.grid if g[-1] <= last)
-    off = replace(right.with_shapes(np.array([9.5])), extent=replace(right.extent, grid=grid))
-    far = search.fit((search.known(off),), (right.probe,))
-    assert far.rms > 1.5 * found.decision.best.rms
-    search.fits = {f.key: f for f in (search.nominal, far)}
-    repeated_anew(search)
-    assert search.best.rms == pytest.approx(found.decision.best.rms, rel=1e-3)
-    (c,) = search.best.members
-    assert c.shapes[0] == pytest.approx(7.0, rel=0.02)
-
-
-def test_a_period_is_looked_for_again_whatever_the_order_of_the_fit_that_is_there(monkeypatch):
-    missing = [("cogging", "joint", "elbow", [0.0, 0.05, 7.0])]
-    found = located(record(missing, duration=4.0), effects=("cogging", "constant_force"))
-    (right,), search = found.decision.best.members, found.search
-    force = next(c for c in search.candidates if c.key == ("constant_force", "elbow"))
-    off, little = search.known(right.with_shapes(np.array([9.5]))), np.array([1e-3])
-    far = search.fit((force, off), (little, right.probe))
-    monkeypatch.setattr(Search, "best", far)
-    begun = []
-    with monkeypatch.context() as first:
-        first.setattr(sharpen, "_sharpen", lambda search, fit, at, bounds: begun.append(fit))
-        repeated_anew(search)
-    (fit,) = begun
-    assert [c.key for c in fit.members] == [force.key, right.key]
-    hypothesis = replace(fit.hypothesis, members=fit.members[::-1], x=fit.x[::-1])
-    columns = [1, 2, 0, *range(3, fit.jacobian.shape[-1])]  # sine and cosine, then the force
-    turned = replace(fit, hypothesis=hypothesis, jacobian=fit.jacobian[..., columns])
-    search.fits = {f.key: f for f in (search.nominal, far)}
-    search.fits[turned.key] = replace(turned, cost=0.99 * turned.cost)
-    repeated_anew(search)
-    assert search.nearest.rms == pytest.approx(found.decision.best.rms, rel=0.01)
-
-
-def test_friction_that_rises_by_nothing_is_tried_as_one_that_creeps() -> None:
-    missing = [("dry_friction", "joint", "elbow", [0.05, 0.0, 0.0])]
-    found = located(record(missing, duration=4.0), effects=("dry_friction", "stribeck_friction"))
-    search = found.search
-    rises = next(
-        c
-        for c in search.candidates
-        if c.key == ("stribeck_friction", "elbow") and not c.preslides and not c.secant
-    )
-    search.fits = {search.nominal.key: search.nominal}
-    fit = search.fit((rises,), (np.array([0.0, 0.05]),))
-    simplify(search, fit, Effort())
-    dry = [f for f in search.fits.values() if f.key and f.members[0].key[0] == "dry_friction"]
-    shapes = {tuple(f.members[0].shapes): f.rms for f in dry}
-    assert {s[0] for s in shapes} == {0.0, 1.0}
-    assert min(shapes.values()) == shapes[0.0, 0.0]
