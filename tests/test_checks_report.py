@@ -28,7 +28,13 @@ from bo_sysid.checks.numerics import contact_flags, divergence_flags, far_flags,
 from bo_sysid.checks.proposal import as_yaml, proposed_clocks, proposed_columns
 from bo_sysid.checks.rewired import rewired
 from bo_sysid.checks.search import SUSPICIOUS
-from bo_sysid.checks.sensitivity import Information, bounds_flags, in_words, information
+from bo_sysid.checks.sensitivity import (
+    Information,
+    bounds_flags,
+    in_words,
+    information,
+    with_fitted_starts,
+)
 from bo_sysid.checks.wiring import find_wiring
 from bo_sysid.checks.wraps import find_wraps, unwrapped, wrap_flags
 from bo_sysid.cli.check import write
@@ -392,6 +398,44 @@ def test_information_about_a_mass_is_that_of_the_formula() -> None:
     known = np.stack([np.ones_like(t), t], axis=1)
     rest = slope - known @ np.linalg.lstsq(known, slope, rcond=None)[0]
     assert found.fisher[0, 0] == pytest.approx(4.0 * rest @ rest / 1e-6, rel=0.02)
+
+
+class _Losing(MujocoSimulator):
+    """Diverges in all windows but the first five."""
+
+    def predictions(self, points, windows, starts=None):
+        late = np.arange(len(windows)) >= 5
+        for found in super().predictions(points, windows, starts):
+            yield replace(found, diverged=late)
+
+
+@pytest.mark.parametrize(("simulates", "used"), [(MujocoSimulator, 50), (_Losing, 5)])
+def test_what_fitted_starts_leave_is_judged_by_the_numbers_that_were_fitted(simulates, used):
+    """x = x0 + v0 t + F t²/(2 m) in each window: σ is that of the regression on all of them.
+
+    A joint that follows another has no start of its own, nor has a window that diverges.
+    """
+    follower = """<body><joint name="y" type="slide" axis="1 0 0"/><geom size=".1" mass=".5"/>
+      </body></worldbody><equality><joint joint1="y" joint2="x"/></equality>"""
+    strong = SLIDE.replace('joint="x"', 'joint="x" gear="1000"')
+    model = Model.from_xml(strong.replace("</worldbody>", follower))
+    time, t, force = 0.005 * np.arange(601), 0.005 * np.arange(1, 13), 800.0
+    x = force * time**2 / (2 * 2.5) + 0.005 * np.random.default_rng(3).standard_normal(601)
+    log = Recording.from_arrays(time, qpos={"x": x, "y": x}, ctrl={"m": np.full(601, 0.8)})
+    windows = cut(model, [log], horizon=12)
+    mass = Parameter("mass", ("geom[load].mass",), 1.0, 3.0)
+    simulator = simulates(model, (mass,), Engine(1))
+    assert len(windows) == 50
+    assert len(simulator.following) == 1
+    _, sigma = with_fitted_starts(simulator, np.array([2.0]), windows, {"qpos.x": 1e-3})
+    known = np.stack([np.ones_like(t), t, -force * t**2 / (2 * 2.5**2)], axis=1)
+    rows = x[1:].reshape(50, 12)[:used] - force * t**2 / (2 * 2.5)
+    starts = np.kron(np.eye(used), known[:, :2])
+    columns = np.column_stack([starts, np.tile(known[:, 2], used)])
+    left = np.linalg.lstsq(columns, rows.ravel(), rcond=None)[1][0]
+    variance = left / (columns.shape[0] - columns.shape[1])
+    expected = np.sqrt(variance * np.linalg.inv(columns.T @ columns)[-1, -1])
+    assert sigma[0] == pytest.approx(expected, rel=0.04)
 
 
 def test_weak_combinations_are_put_into_words() -> None:

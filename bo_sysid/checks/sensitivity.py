@@ -131,11 +131,11 @@ def with_fitted_starts(
         `d` values, and `d` standard deviations of theirs, by what the step leaves of the residual
         where that is more than noise.
     """
-    S, r = _linearised(simulator, point, windows, noise)
+    S, r, starts = _linearised(simulator, point, windows, noise)
     flat, left = S.reshape(-1, S.shape[-1]), r.ravel()
     inverse = np.linalg.inv(flat.T @ flat + 12 * np.eye(flat.shape[1]))  # a uniform prior's, see σ
     step = inverse @ (flat.T @ left)
-    numbers = np.count_nonzero(left) - 2 * windows.start.qvel.shape[1] * len(windows)
+    numbers = int(np.count_nonzero(left)) - starts
     variance = float(((left - flat @ step) ** 2).sum()) / max(numbers - len(step), 1)
     low, high = np.array([(p.low, p.high) for p in simulator.parameters]).T
     sigma = np.sqrt(np.diag(inverse) * max(variance, 1.0))
@@ -144,8 +144,12 @@ def with_fitted_starts(
 
 def _linearised(
     simulator: Simulator, point: Point, windows: Windows, noise: Mapping[str, float]
-) -> tuple[Float[np.ndarray, "W m d"], Float[np.ndarray, "W m"]]:
-    """Return sensitivities and the whitened residual, both projected on what starts cannot do."""
+) -> tuple[Float[np.ndarray, "W m d"], Float[np.ndarray, "W m"], int]:
+    """Return sensitivities and the whitened residual, both projected on what starts cannot do.
+
+    Beside them, how many numbers of starts were fitted for that: none in windows that diverge, nor
+    of joints that follow others.
+    """
     weight = np.array([1.0 / noise[n] if noise.get(n) else 0.0 for n in windows.channels])
     low = np.array([p.low for p in simulator.parameters])
     width = np.array([p.high for p in simulator.parameters]) - low
@@ -161,9 +165,10 @@ def _linearised(
     start, lost = _start_effect(simulator, inside, windows, weight, base)
     residual = np.nan_to_num(windows.residual(made[0].values) * weight).reshape(len(windows), -1)
     columns = np.concatenate([effect, residual[..., None]], axis=-1)
-    columns[lost | np.any([p.diverged for p in made], axis=0)] = 0.0
+    lost |= np.any([p.diverged for p in made], axis=0)
+    columns[lost] = 0.0
     found = np.stack([_without(e, s) for e, s in zip(columns, start, strict=True)])
-    return found[..., :-1], found[..., -1]
+    return found[..., :-1], found[..., -1], int(start.shape[-1] * np.count_nonzero(~lost))
 
 
 def _start_effect(
