@@ -262,6 +262,32 @@ def test_an_episode_ends_where_a_limit_of_motion_is_left():
     assert ended is not None
 
 
+UNSTABLE = """
+<mujoco><option timestep=".002"/>
+  <worldbody><body><joint name="j" axis="0 1 0" stiffness="-2e7" armature="1e-3"/>
+    <geom size=".02" pos="0 0 -.1" mass="1"/></body></worldbody>
+  <actuator><motor name="m" joint="j" gear="100" ctrlrange="-1 1"/></actuator></mujoco>
+"""
+
+
+def test_a_simulation_that_diverges_within_an_action_has_left_its_limits(tmp_path):
+    """MuJoCo puts it back at the reference, where it is within all limits again."""
+    (tmp_path / "unstable.xml").write_text(UNSTABLE)
+    data = {"model": "unstable.xml", "recordings": {"train": ["none.csv"]}}
+    bound = Study.from_dict({**data, "limits": {"j": {"position": [-1.0, 1.0]}}}, tmp_path)
+    model, standing = load_model(bound), Standing()
+    standing.control_timestep = 0.02
+    task = LimitedTask(standing, bound, model)
+    environment = BatchEnvironment(task, model.compile(), 2)
+    environment.reset()
+    step = environment.step(np.array([[1.0], [0.0]]))
+    assert step.terminated.tolist() == [True, False]
+    assert np.abs(step.final[:, 0]).max() < 1.0
+    assert task.beyond.tolist() == [True, False]
+    environment.step(np.zeros((2, 1)))
+    assert not task.beyond.any()
+
+
 HELD = 25  # parts of an action
 
 

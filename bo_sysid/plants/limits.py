@@ -177,10 +177,13 @@ class LimitedTask(WrappedTask):
         return np.asarray(self.task.is_terminated(sims) | self.beyond)
 
     def left(self, sims: Simulations) -> np.ndarray:
-        """Return which of the `n` simulations are outside the limits."""
+        """Return which of the `n` simulations are outside the limits.
+
+        One that diverged has left them, wherever MuJoCo has put it back.
+        """
         outside = (sims.qpos < self._low - 1e-9) | (sims.qpos > self._high + 1e-9)
         fast = np.abs(sims.qvel) > self._speed
-        return np.asarray(outside.any(axis=1) | fast.any(axis=1))
+        return np.asarray(outside.any(axis=1) | fast.any(axis=1) | sims.diverged())
 
 
 def limited(task: VectorTask, study: Study, model: Model) -> VectorTask:
