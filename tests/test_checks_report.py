@@ -400,6 +400,25 @@ def test_information_about_a_mass_is_that_of_the_formula() -> None:
     assert found.fisher[0, 0] == pytest.approx(4.0 * rest @ rest / 1e-6, rel=0.02)
 
 
+@pytest.mark.parametrize("gear", [0.4, 999.6, 500.0])
+def test_a_step_with_fitted_starts_from_the_truth_stays_there_also_beside_a_bound(gear):
+    """The prediction is linear in the gear: one step arrives, from wherever it begins."""
+    model = Model.from_xml(SLIDE.replace('joint="x"', f'joint="x" gear="{gear}"'))
+    start = State(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 0)))
+    push = 0.8 * np.sin(3 * TIME[:400])
+    run = Engine(1).rollout(model.compile(), start, push[None, :399, None])
+    log = Recording.from_arrays(
+        0.005 * np.arange(400), qpos={"x": run.qpos[0, :, 0]}, ctrl={"m": push}
+    )
+    windows = cut(model, [log], horizon=100)
+    simulator = MujocoSimulator(
+        model, (Parameter("gear", ("actuator[m].gear[0]",), 0.0, 1e3),), Engine(1)
+    )
+    found, sigma = with_fitted_starts(simulator, np.array([gear]), windows, {"qpos.x": 1e-7})
+    assert sigma[0] < 1e-3
+    assert found[0] == pytest.approx(gear, abs=1e-3)
+
+
 class _Losing(MujocoSimulator):
     """Diverges in all windows but the first five."""
 

@@ -131,6 +131,7 @@ def with_fitted_starts(
         `d` values, and `d` standard deviations of theirs, by what the step leaves of the residual
         where that is more than noise.
     """
+    point = _inside(simulator.parameters, point)  # where the residual is that of the step
     S, r, starts = _linearised(simulator, point, windows, noise)
     flat, left = S.reshape(-1, S.shape[-1]), r.ravel()
     inverse = np.linalg.inv(flat.T @ flat + 12 * np.eye(flat.shape[1]))  # a uniform prior's, see σ
@@ -151,11 +152,9 @@ def _linearised(
     of joints that follow others.
     """
     weight = np.array([1.0 / noise[n] if noise.get(n) else 0.0 for n in windows.channels])
-    low = np.array([p.low for p in simulator.parameters])
-    width = np.array([p.high for p in simulator.parameters]) - low
-    inside = np.clip(point, low + _STEP * width, low + (1 - _STEP) * width)
+    inside = _inside(simulator.parameters, point)
     points = [inside]
-    for row in np.diag(_STEP * width):
+    for row in np.diag([_STEP * (p.high - p.low) for p in simulator.parameters]):
         points += [inside + row, inside - row]
     made = list(simulator.predictions(np.array(points), windows))
     base, *beside = [_whitened(p.values, windows, weight) for p in made]
@@ -169,6 +168,13 @@ def _linearised(
     columns[lost] = 0.0
     found = np.stack([_without(e, s) for e, s in zip(columns, start, strict=True)])
     return found[..., :-1], found[..., -1], int(start.shape[-1] * np.count_nonzero(~lost))
+
+
+def _inside(parameters: Sequence[Parameter], point: Point) -> Point:
+    """Return the values next to a point that are a difference away from all bounds."""
+    low, high = np.array([(p.low, p.high) for p in parameters]).T
+    margin = _STEP * (high - low)
+    return np.asarray(np.clip(point, low + margin, high - margin))
 
 
 def _start_effect(
