@@ -369,6 +369,15 @@ def test_a_proposal_states_a_unit_in_place_of_the_wrong_one() -> None:
     }
 
 
+def test_a_proposal_is_as_exact_as_what_was_found_however_large_what_is_written() -> None:
+    """Clocks that began a day apart, and an encoder of many turns, keep all of their digits."""
+    shifts = proposed_clocks({"ctrl": {"shift": 86412.345}}, "ctrl", 0.012345)
+    assert shifts["ctrl"]["shift"] == pytest.approx(86412.345 + 0.0123, abs=1e-9)
+    wires = {"qpos.a": Wire("qpos.a", sign=-1, offset=0.0213456)}
+    columns = proposed_columns({"qpos.a": {"offset": 200 * pi}}, wires, {})
+    assert columns["qpos.a"]["offset"] == pytest.approx(-200 * pi + 0.02135, abs=1e-9)
+
+
 def test_a_proposal_keeps_the_size_of_a_jump() -> None:
     written = {"qpos.a": {"from": "theta", "unwrap": 4.096}, "qpos.b": {"unwrap": True}}
     wires = {

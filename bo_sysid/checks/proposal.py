@@ -13,6 +13,7 @@ from bo_sysid.recording.units import is_unit, unit
 Rule = dict[str, Any]
 _KEPT = ("unit", "signed", "hold", "clock", "missing")
 _NO_SHIFT = 5e-4  # [s] that is within what a delay is known to
+_DIGITS = 14  # of a sum, beyond which it is rounding
 _DEFAULTS = {f.name: f.default for f in (*fields(ColumnRule), *fields(ClockRule))}
 
 
@@ -54,9 +55,9 @@ def proposed_columns(
             made["scale"] = _rounded(scale)
         if less := wire.less or rule.get("less"):
             made["less"] = less
-        shift = wire.sign * wire.scale * offset + wire.offset
-        if shift:
-            made["offset"] = _rounded(shift, 4) if wire.offset else shift  # theirs, to the digit
+        theirs = wire.sign * wire.scale * offset
+        if shift := _sum(theirs, wire.offset, 4):
+            made["offset"] = shift
         wrap, own = wraps.get(wire.source), rule.get("unwrap")
         if wrap is not None and wrap.signed:
             made["signed"] = wrap.signed
@@ -96,8 +97,8 @@ def proposed_clocks(
 
 def _later(written: Mapping[str, Any], delay: float) -> Rule:
     rule = {k: v for k, v in written.items() if v != _DEFAULTS.get(k)}
-    shift = rule.get("shift", 0.0) + delay
-    rule["shift"] = _rounded(shift, 3) if abs(shift) > _NO_SHIFT else 0.0
+    shift = _sum(rule.get("shift", 0.0), delay, 3)
+    rule["shift"] = shift if abs(shift) > _NO_SHIFT else 0.0
     return rule
 
 
@@ -120,6 +121,14 @@ def flow(rule: Mapping[str, Any]) -> str:
             dict(rule), default_flow_style=True, sort_keys=False, width=1000, allow_unicode=True
         )
     ).strip()
+
+
+def _sum(theirs: float, found: float, digits: int) -> float:
+    """Return what is written and what was found, of which so many digits are known.
+
+    However large theirs is, it keeps all of its own.
+    """
+    return _rounded(theirs + _rounded(found, digits), _DIGITS) if found else theirs
 
 
 def _rounded(value: float, digits: int = 6) -> float:
