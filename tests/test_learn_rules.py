@@ -17,11 +17,18 @@ from bo_sysid.learn import CHOICES, STOPS
 from bo_sysid.learn.choose import CHOOSE
 from bo_sysid.learn.floor import ABOVE, Floor, floor_of, lacks_physics
 from bo_sysid.learn.hand_over import beyond_limits
-from bo_sysid.learn.identified import Identified
+from bo_sysid.learn.identified import Identified, identified
 from bo_sysid.learn.iteration import Iteration
 from bo_sysid.learn.learn import doubts
 from bo_sysid.learn.scene import Scene
-from bo_sysid.learn.stops import STOP_RULES, distances, near_enough, neighbours, value_guided
+from bo_sysid.learn.stops import (
+    STOP_RULES,
+    Verdict,
+    distances,
+    near_enough,
+    neighbours,
+    value_guided,
+)
 from bo_sysid.learn.values import Estimate, Values, values
 from bo_sysid.parameters import CandidateSet, Parameter
 from bo_sysid.plants.build import build_plant, foreign_task, record
@@ -252,6 +259,7 @@ def test_values_are_paired_over_models() -> None:
         (3.0, StopReason.CONVERGED, True),
         (3.0, StopReason.ENTROPY, True),
         (3.0, StopReason.BUDGET, False),
+        (3.0, StopReason.VALUES, False),
         (1.1, StopReason.CONVERGED, False),
     ],
 )
@@ -261,6 +269,29 @@ def test_physics_is_missing_where_a_converged_floor_is_high(
     floor = Floor(deviation=5.0 * ratio, noise=4.0, resolution=3.0)
     assert floor.ratio == pytest.approx(ratio)
     assert lacks_physics(floor, reason) is expected
+
+
+@pytest.mark.parametrize("settled", [False, True])
+def test_a_search_that_values_ended_tells_nothing_of_physics_that_is_missing(settled) -> None:
+    """The plant is one of B; what is left is that of a search that has not come to it yet."""
+    plain = pendulum(search={"budget": 40, "seed": 2})
+    plain["recordings"]["noise"] = plain["plant"]["noise"] = {"qpos": 1e-5, "qvel": 1e-4}
+    study = Study.from_dict(plain)
+    recording = build_plant(study).record(np.sin(np.arange(600)[:, None] * 0.11))
+
+    def valued(probabilities: np.ndarray) -> Verdict:
+        return Verdict(not settled or bool(probabilities.max() > 0.999), "")
+
+    found = identified(Scene.of(study), [recording], np.zeros(0, int), valued)
+    missing = 1.0 - found.probabilities[found.rows].sum()
+    assert not lacks_physics(found.floor, found.reason)
+    if settled:
+        assert missing < 1e-3
+        assert not found.floor.is_above
+    else:
+        assert missing > 0.5
+        assert found.floor.is_above
+        assert found.reason is StopReason.VALUES
 
 
 @pytest.mark.parametrize("rates", [True, False])

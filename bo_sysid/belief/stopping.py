@@ -16,6 +16,7 @@ class StopReason(Enum):
     ENTROPY = "entropy"
     BUDGET = "budget"
     CONVERGED = "converged"
+    VALUES = "values"
 
     @property
     def sentence(self) -> str:
@@ -26,6 +27,7 @@ class StopReason(Enum):
             StopReason.BUDGET: "The budget of evaluations was reached; "
             "a larger search.budget, in another run folder, goes further.",
             StopReason.CONVERGED: "All probability is on candidates that were evaluated.",
+            StopReason.VALUES: "What the belief leaves open does not matter for the policy.",
         }[self]
 
 

@@ -68,9 +68,11 @@ def lacks_physics(floor: Floor, reason: StopReason) -> bool:
 
     Args:
         floor: under Δ, on all recordings.
-        reason: why the search ended; one that ran out of budget may still find better.
+        reason: why the search ended; one that ran out of budget, or that was ended by values, may
+            still find better.
     """
-    return reason is not StopReason.BUDGET and floor.is_above
+    unfinished = reason in (StopReason.BUDGET, StopReason.VALUES)
+    return not unfinished and floor.is_above
 
 
 def floor_of(

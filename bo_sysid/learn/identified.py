@@ -229,8 +229,9 @@ def _searched(
         outcome = run(history, StopRule(min(enough, budget), entropy=None))
         history = outcome.history
         verdict = value_stop(outcome.belief.probabilities)
-        if verdict.stop:
-            return replace(outcome, reason=StopReason.CONVERGED), verdict.figures
-        if outcome.reason is StopReason.CONVERGED or len(history) >= budget:
+        converged = outcome.reason is StopReason.CONVERGED
+        if verdict.stop and not converged:
+            return replace(outcome, reason=StopReason.VALUES), verdict.figures
+        if converged or len(history) >= budget:
             return outcome, verdict.figures
         enough = len(history) + _BETWEEN
