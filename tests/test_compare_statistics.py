@@ -44,6 +44,14 @@ def test_a_summary_has_shares_and_means() -> None:
     assert row["evaluations_high"] == pytest.approx(10 / 3 + half)
 
 
+def test_a_level_that_is_stated_twice_is_no_second_run() -> None:
+    paths = pd.concat([path(a, s, [1, 1, 0][: s + 1]) for a in "ab" for s in range(3)])
+    once, twice = (costs(paths, levels, ["evaluations"]) for levels in ([0, 0.5], [0, 0.5, 0.0]))
+    pd.testing.assert_frame_equal(twice, once, check_dtype=False)
+    assert summary(twice, ["evaluations"])["runs"].tolist() == [3] * 4
+    assert paired(twice, ["evaluations"], "a")["pairs"].tolist() == [3, 3]
+
+
 def test_wilsons_interval_of_eight_in_ten() -> None:
     # Wilson's closed form: (k + z²/2 ± z √(k (n - k)/n + z²/4)) / (n + z²), z = 1.959964
     z = 1.959964

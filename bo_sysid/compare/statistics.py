@@ -73,7 +73,7 @@ def costs(paths: pd.DataFrame, levels: Sequence[float], units: Sequence[str]) ->
         row: dict[str, Any] = dict(zip(("problem", "arm", "seed"), key, strict=True))
         regret = run["regret"].to_numpy(float)
         longer = float(limits.loc[row["problem"]] / run[units[0]].iloc[-1])
-        for level in levels:
+        for level in dict.fromkeys(levels):  # each counts once
             there = np.flatnonzero(regret <= level + _SLACK)
             at, factor = (int(there[0]), 1.0) if len(there) else (len(run) - 1, longer)
             spent = {unit: factor * float(run[unit].iloc[at]) for unit in units}
