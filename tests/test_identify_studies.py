@@ -304,6 +304,26 @@ def test_windows_without_velocities_are_as_long_where_a_sensor_is_faster(tmp_pat
     assert lengths["fast"] == pytest.approx(0.15, abs=0.011)
 
 
+def test_starts_are_fitted_where_velocities_have_other_instants(tmp_path: Path) -> None:
+    """Between two samples a start's velocity is one of noisy positions, and mass was 55 % off."""
+    study = pendulum_study(tmp_path)
+    log = Recording.from_frame(pd.read_parquet(tmp_path / "log.parquet"), name="log")
+    assert not make_problem(study, [log], threads=1).deviation.fitted_starts
+    rate = log.channels["qvel.hinge"]
+    time = rate.time[:-1] + 0.005
+    apart = Channel(time, np.interp(time, rate.time, rate.values), rate.unit)
+    mixed = replace(log, channels={**log.channels, "qvel.hinge": apart})
+    mixed.to_frame().to_parquet(tmp_path / "log.parquet")
+    data = study.resolved()
+    data["recordings"]["columns"] = {n: {"missing": "skip"} for n in mixed.channels}
+    data["deviation"]["horizon"] = 1
+    result = identify(Study.from_dict(data, tmp_path))
+    assert any("100 % of the positions were recorded without a velocity" in n for n in result.notes)
+    found = result.parameters
+    truth = np.array([0.63, 0.083])
+    assert ((found["low95"] < truth) & (truth < found["high95"])).all(), found
+
+
 def test_forecasts_begin_as_well_where_one_joint_is_slower_than_others(tmp_path: Path) -> None:
     """With one sample of the elbow its speed follows from how the shoulder's noise bends."""
     mass = {"name": "mass", "address": "geom[forearm].mass", "low": 0.4, "high": 0.8, "steps": 3}

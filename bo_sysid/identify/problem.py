@@ -1,7 +1,7 @@
 """From a study to the deviation that the search minimises."""
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,6 +29,7 @@ from bo_sysid.study.requirements import (
 )
 
 _UNMEASURED = 0.15  # [s] shortest window where velocities were not recorded
+_MOSTLY = 0.5  # of the instants of positions, at which a velocity must be known to measure starts
 _GAP = 1.5  # times the usual length, from which a window holds a gap
 _STEPS, _ARRIVED = 4, 0.3  # to what fits with fitted starts; of a standard deviation, at the end
 
@@ -147,7 +148,7 @@ class Problem:
             low: `d` lower ends of the intervals.
             high: `d` upper ends.
         """
-        stamps = [s for r in self.recordings if len(s := _stamps(self.model, r)) > 1]
+        stamps = [s for r in self.recordings if len(s := _stamps(r, self.model.shown_channels)) > 1]
         if self.candidates.categories or not stamps:
             return None
         horizon, interval = _long_enough_for_starts(self.study, self.model, stamps)
@@ -247,23 +248,38 @@ def _framing(
 
     Where no velocity was recorded a start cannot be measured: one step from an estimated velocity
     shows the noise of the estimate, and hardly the parameters. Starts are then fitted, in windows
-    of at least 0.15 s.
+    of at least 0.15 s. So they are where most positions were recorded at other instants.
     """
     asked = study.deviation
     rates = set(model.qvel_channels)
     unmeasured = set(model.unrecorded) - set(model.loops.joints)
-    measured = not unmeasured and any(rates & set(r.channels) for r in recordings)
-    stamps = [s for r in recordings if len(s := _stamps(model, r)) > 1]
+    together = _recorded_with_velocity(model, recordings)
+    measured = not unmeasured and together > _MOSTLY
+    stamps = [s for r in recordings if len(s := _stamps(r, model.shown_channels)) > 1]
     if asked.starts == "fitted" or not rates or measured or not stamps:
         return asked.starts == "fitted", asked.horizon, ()
     horizon, interval = _long_enough_for_starts(study, model, stamps)
-    why = "a joint moves unmeasured" if unmeasured else "no velocity was recorded"
+    why = "no velocity was recorded"
+    if unmeasured:
+        why = "a joint moves unmeasured"
+    elif any(rates & set(r.channels) for r in recordings):
+        why = f"{100 * (1 - together):.0f} % of the positions were recorded without a velocity"
     note = (
         f"{why}, so that "
         f"starts cannot be measured: they are fitted, in windows of {horizon} instants "
         f"({horizon * interval:.3g} s); deviation: {{starts: fitted, horizon: N}} says otherwise"
     )
     return True, horizon, (note,)
+
+
+def _recorded_with_velocity(model: Model, recordings: Sequence[Recording]) -> float:
+    """Return the share of the positions' instants at which a velocity was recorded as well."""
+    own, rates = set(model.qpos_channels), set(model.qvel_channels)
+    seen = count = 0
+    for r in recordings:
+        at = _stamps(r, own)
+        seen, count = seen + int(np.isin(at, _stamps(r, rates)).sum()), count + len(at)
+    return seen / max(count, 1)
 
 
 def _long_enough_for_starts(
@@ -315,11 +331,10 @@ def _require_more_than_starts(study: Study, model: Model, windows: Windows) -> N
 
 def instants_of(model: Model, recording: Recording) -> int:
     """Return at how many instants something was recorded that the model shows."""
-    return len(_stamps(model, recording))
+    return len(_stamps(recording, model.shown_channels))
 
 
-def _stamps(model: Model, recording: Recording) -> Float[np.ndarray, " T"]:
-    """Return the instants at which something was recorded that the model shows, in [s]."""
-    shown = model.shown_channels
-    times = [c.time for name, c in recording.channels.items() if name in shown]
+def _stamps(recording: Recording, names: Collection[str]) -> Float[np.ndarray, " T"]:
+    """Return the instants at which any of some channels was recorded, in [s]."""
+    times = [c.time for name, c in recording.channels.items() if name in names]
     return np.unique(np.concatenate([np.zeros(0), *times]))

@@ -186,8 +186,8 @@ class Deviation(Section):
     """Number of recorded instants predicted from each start."""
     starts: Literal["measured", "fitted"] = "measured"
     """measured: start at the recorded state, whose noise moves parameters (damping above all);
-    fitted: the start of each window is a nuisance. Where no velocity was recorded starts are fitted
-    in any case, in windows of 0.15 s or more."""
+    fitted: the start of each window is a nuisance. Where no velocity was recorded, or not when most
+    positions were, starts are fitted in any case, in windows of 0.15 s or more."""
     whiten: Literal["auto"] | Mapping[str, Positive] = "auto"
     """auto, or the scale of each kind of channel or channel, in its unit."""
 
