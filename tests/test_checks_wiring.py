@@ -54,9 +54,9 @@ SERVED = """
 """
 
 
-def served() -> Recording:
+def served(text: str = SERVED) -> Recording:
     """Return a log of two servos whose arm is a fifth heavier and rubs, sampled every 10 ms."""
-    model = Model.from_xml(SERVED)
+    model = Model.from_xml(text)
 
     def edit(spec: mujoco.MjSpec) -> None:
         for geom, joint in zip(spec.geoms, spec.joints, strict=True):
@@ -253,6 +253,16 @@ def test_the_zero_of_an_encoder(zero: float) -> None:
     assert found.wires["qpos.shoulder"].offset == pytest.approx(-zero, abs=0.01)
     (told,) = (f.sentence for f in found.flags if f.kind == "zero")
     assert "A load that the model lacks, as a tool, or a base that is not level may look" in told
+
+
+def test_ranges_tell_that_servos_count_from_one_end_where_forces_do_not() -> None:
+    """About vertical axes no force hangs on a zero."""
+    text = SERVED.replace('axis="0 1 0"', 'axis="0 0 1" limited="true" range="-150 150"')
+    log = served(text)
+    counted = {n: replace(c, values=c.values + pi) for n, c in log.channels.items()}
+    found = find_wiring(Model.from_xml(text).compile(), [Recording("log", counted)])
+    offsets = {n: w.offset for n, w in found.wires.items()}
+    assert offsets == pytest.approx(dict.fromkeys(counted, -pi))
 
 
 @pytest.mark.parametrize("turn", [2 * pi, 5 * pi / 3])

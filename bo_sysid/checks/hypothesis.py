@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import pi
+from math import isclose, pi
 
 Units = Sequence[tuple[str, float]]
 ANGLES: Units = (("deg", pi / 180), ("mrad", 1e-3), ("turn", 2 * pi), ("ticks", 2 * pi / 4096))
@@ -13,8 +13,12 @@ INPUTS: Units = (("milli", 1e-3), ("%", 1e-2), ("PWM", 1 / 255))
 """Other units that a control may be in, with their SI values: mN m or mA, per cent, −255…255."""
 CENTRED = "angles counted from one end"
 """The fault that all angles are off by half of what their servos count."""
+COUNTED = (2 * pi, 5 * pi / 3)
+"""What servos count over from one end, in [rad]: 360 and 300 degrees."""
 FREE = "of its own"
 """Unit of a motor's control whose value follows from the recordings (motors.py)."""
+
+_ABOUT = 0.02  # [rad] beside the middle
 
 
 @dataclass(frozen=True, order=True)
@@ -36,6 +40,11 @@ class Wire:
     offset: float = 0.0
     unit: str = ""
     less: str = ""
+
+    @property
+    def centred(self) -> bool:
+        """Whether its zero is the middle of what a servo counts from one end."""
+        return any(isclose(self.offset, -turn / 2, abs_tol=_ABOUT) for turn in COUNTED)
 
     def plain(self, name: str) -> bool:
         """Whether the channel `name` is what was recorded as such."""

@@ -16,7 +16,7 @@ from bo_sysid.recording.noise import MOVES
 
 _FEWEST = 5  # samples on an even grid that tell how a joint moved
 _BAND = (0.05, 0.95)  # shares of the power of the speed that bound the band
-_BEYOND = 0.1  # of a joint's range, by which a position may lie outside it
+BEYOND = 0.1  # of a joint's range, by which a position may lie outside it
 _MANY = 3.0  # times a range, from which a motion tells that it is read in degrees
 _MOTION = [
     "recording", "joint", "range", "net", "speed", "fastest", "reversals", "low_hz", "high_hz",
@@ -149,7 +149,7 @@ def beyond_range(
             continue
         low, high = model.jnt_range[j]
         least, most = min(float(q.min()) for q in moved), max(float(q.max()) for q in moved)
-        if max(low - least, most - high) > _BEYOND * (high - low):
+        if max(low - least, most - high) > BEYOND * (high - low):
             found[name] = (least, most)
     return found
 
@@ -159,7 +159,7 @@ def turned_inside(model: mujoco.MjModel, recordings: Sequence[Recording]) -> lis
     found = []
     for name, (least, most) in beyond_range(model, recordings).items():
         low, high = model.joint(name).range
-        if max(low + most, -least - high) <= _BEYOND * (high - low):
+        if max(low + most, -least - high) <= BEYOND * (high - low):
             found.append(name)
     return found
 

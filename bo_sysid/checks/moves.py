@@ -14,6 +14,7 @@ from bo_sysid.checks.evidence import WiringEvidence
 from bo_sysid.checks.hypothesis import (
     ANGLES,
     CENTRED,
+    COUNTED,
     INPUTS,
     LENGTHS,
     UNDONE,
@@ -25,8 +26,6 @@ from bo_sysid.checks.motors import scaled
 from bo_sysid.checks.score import DELAYS, timed
 from bo_sysid.checks.speeds import moving
 
-_COUNTED = (2 * pi, 5 * pi / 3)  # [rad] that servos count over, 0 to 360 and to 300 degrees
-
 
 def moves(evidence: WiringEvidence, h: WiringHypothesis) -> Iterator[WiringHypothesis]:
     """Yield hypotheses with one more fault."""
@@ -37,7 +36,7 @@ def moves(evidence: WiringEvidence, h: WiringHypothesis) -> Iterator[WiringHypot
     yield from _confusions(evidence, h)
     yield from absolute(evidence, h)
     yield from _zeros(evidence, h)
-    yield from _centres(evidence, h)
+    yield from centres(evidence, h)
 
 
 def signs(h: WiringHypothesis) -> Iterator[WiringHypothesis]:
@@ -178,18 +177,20 @@ def _zeros(evidence: WiringEvidence, h: WiringHypothesis) -> Iterator[WiringHypo
         yield with_zero(first, names, float(found.x))
 
 
-def _centres(evidence: WiringEvidence, h: WiringHypothesis) -> Iterator[WiringHypothesis]:
+def centres(evidence: WiringEvidence, h: WiringHypothesis) -> Iterator[WiringHypothesis]:
     """Yield all angles counted from the middle of what their servos count, one fault.
 
     Such counts are never negative and end with the servo's turn, and work is done about the middle.
     """
     turning, goals = _angles(evidence, h)
-    names = [n for n in (*turning, *goals) if not h.wires[n].offset]
+    names = [*turning, *goals]
     values = [evidence.value(h, n, held=n in goals) for n in names]
-    if len(turning) < 2 or any(v.min() < 0 for v in values):
+    if len(turning) < 2 or any(h.wires[n].offset for n in names):
+        return
+    if any(v.min() < 0 for v in values):
         return
     middle = float(np.mean([v.mean() for v in values]))
-    turn = min(_COUNTED, key=lambda t: abs(middle - t / 2))
+    turn = min(COUNTED, key=lambda t: abs(middle - t / 2))
     if abs(middle - turn / 2) < turn / 8 and all(v.max() <= turn for v in values):
         yield replace(with_zero(h, names, -turn / 2), causes=(*h.causes, CENTRED))
 

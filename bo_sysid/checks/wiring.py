@@ -1,7 +1,7 @@
 """The wiring of a log: what each channel really is, when the controls act, and how sure that is."""
 
 import copy
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -10,6 +10,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from bo_sysid.checks import estimate, motors
+from bo_sysid.checks.beginning import by_ranges
 from bo_sysid.checks.clocks import clock_flags, clock_of, least_delay
 from bo_sysid.checks.comparable import as_acting, comparable
 from bo_sysid.checks.evidence import FLOOR, Laws, WiringEvidence
@@ -17,7 +18,6 @@ from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.hypothesis import Wire, WiringHypothesis
 from bo_sysid.checks.limits import unlimited
 from bo_sysid.checks.loads import without_loads
-from bo_sysid.checks.motion import turned_inside
 from bo_sysid.checks.moves import zero_groups
 from bo_sysid.checks.rates import rate_flags
 from bo_sysid.checks.score import MARGIN
@@ -90,9 +90,8 @@ def find_wiring(
         WiringEvidence(copy.copy(free), traces, laws=laws),
         WiringEvidence(free, traces, _MOST, laws),
     )
-    turned = turned_inside(model, recordings)
     before = fine.identity()
-    first = _turned(fine, turned)
+    first = by_ranges(fine, model, recordings)
     found, twins = _searched(coarse, fine, first, progress)
     found, loads = without_loads(fine, found, first)
     found, late = _timed(fine, found)
@@ -170,17 +169,6 @@ def _left(
         j = evidence.dof(name)
         left[j] = min(left[j], evidence.shares(h, [e.value])[0, j])
     return np.asarray(np.maximum(left - evidence.noise(h), 0.0))
-
-
-def _turned(evidence: WiringEvidence, joints: Iterable[str]) -> WiringHypothesis:
-    """Return the log as it is, encoders turned whose range says so and the forces do not deny."""
-    h = evidence.identity()
-    for name in (f"qpos.{j}" for j in joints):
-        turned = replace(h, wires={**h.wires, name: Wire(name, sign=-1)})
-        scores = [evidence.scores(t, [t.delay])[0] for t in (h, _timed(evidence, turned)[0])]
-        if scores[1] < scores[0]:
-            h = turned
-    return h
 
 
 def _searched(
@@ -288,7 +276,7 @@ def _zeroed(evidence: WiringEvidence, h: WiringHypothesis) -> WiringHypothesis:
         best, gain = h, _LEAST_GAIN
         now = evidence.scores(h, [h.delay])[0]
         for names, _ in zero_groups(evidence, h):
-            known = any(h.wires[n].offset for n in names)
+            known = any(h.wires[n].offset and not h.wires[n].centred for n in names)
             moved = estimate.zero(evidence, h, names)
             if not abs(moved.value) > max(_SURE_ZERO * moved.sigma, 0.0 if known else _LEAST_ZERO):
                 continue

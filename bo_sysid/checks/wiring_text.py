@@ -47,7 +47,9 @@ def wire_flags(
         )
         corrections += _CONSTANT if kind == "scale" else ""
         sentence = f"{what}: {corrections}. {support}"
-        if kind == "zero":
+        if kind == "zero" and all(wires[n].centred for n in names):
+            sentence += " That is the middle of what servos count from one end."
+        elif kind == "zero":
             sentence += f" {LOADED.capitalize()}: leave this out where the zeros are known."
         if explained or all(kind_of(n) == "qvel" for n in names):  # a rate needs no forces
             flags.append(Flag("wrong", kind, tuple(names), sentence))

@@ -24,7 +24,8 @@ _AGREES = 0.15  # share of the forces that may stay unexplained where the motion
 _LIKELY, _OPEN = 0.7, 0.5
 _AGREED = "the motion agrees"
 _MOTOR = "the motor's constant as the model's masses have it"
-_MOVED = ("the motion", "its jumps", _MOTOR)
+_FROM_ONE_END = "counted from one end, with zero in the middle"
+_MOVED = ("the motion", "its jumps", _MOTOR, _FROM_ONE_END)
 
 
 def by_behaviour(model: Model, tables: Sequence[RawTable], rules: Rules) -> Rules:
@@ -64,12 +65,14 @@ def _wired(model: Model, tables: Sequence[RawTable], rules: Rules) -> tuple[Rule
     for channel, rule in changed.items():
         wire = wiring.wires.get(channel)
         reason = "the motion" if wire else "its jumps"
+        if wire and wire.centred:
+            reason = f"{_FROM_ONE_END}; the motion"
         if wire and wire.unit == FREE:
             reason = f"{_MOTOR}; the motion"
         share = _explained(wiring.balance, driven(compiled, channel))
         column, reason = str(rule.get("from", channel)), f"{reason}: {share}"
         moved = wire is not None and bool(wire.offset)
-        reason += f"; {LOADED}" if moved else ""
+        reason += f"; {LOADED}" if moved and wire and not wire.centred else ""
         guesses[channel] = Guess(channel, column, "", reason, _OPEN if moved else 0.8)
     clocks = proposed_clocks({}, "ctrl", wiring.delay, linear=wiring.half_early)
     if clocks:

@@ -7,6 +7,7 @@ import numpy as np
 
 from bo_sysid.diagnosis.answer.quantities import quantities
 from bo_sysid.diagnosis.answer.sentences import set_words
+from bo_sysid.diagnosis.answer.servo_hints import servo_hints
 from bo_sysid.diagnosis.answer.wording import definite, spoken
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.groups import units_of
@@ -60,6 +61,7 @@ def hints(
         sentences.append(_small_loads_sentence(small))
     if late := backlash_suspects(best, machine):
         sentences.append(_backlash_sentence(late))
+    sentences += servo_hints(best.hypothesis, machine)
     sentences += [_nothing_sentence(*member) for member in perhaps_nothing(best, machine)]
     if best.members and (joints := balls(machine)):
         sentences.append(_balls_sentence(joints))
