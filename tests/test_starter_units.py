@@ -191,7 +191,8 @@ def test_units_in_brackets_are_read_before_names_are_split(
 
 
 @pytest.mark.parametrize(
-    ("column", "factor"), [("i [mA]", 1e-3), ("tau_mNm", 1e-3), ("i [A]", 1.0)]
+    ("column", "factor"),
+    [("i [mA]", 1e-3), ("tau_mNm", 1e-3), ("i [A]", 1.0), ("cmd_front_gf", 9.80665e-3)],
 )
 def test_a_control_is_read_in_the_unit_that_its_column_carries(column: str, factor: float) -> None:
     table = RawTable("log", {"t [ms]": 1e-3 * TIMES, "angle [deg]": 30 * WAVE, column: 50 * WAVE})

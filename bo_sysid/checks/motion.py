@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
 from scipy.signal import welch
 
 from bo_sysid.checks.flags import Flag
@@ -15,6 +16,8 @@ from bo_sysid.recording.alignment import stretches
 from bo_sysid.recording.noise import MOVES
 
 _FEWEST = 5  # samples on an even grid that tell how a joint moved
+_WIDTHS = (0.02, 0.04, 0.08, 0.16)  # [s] of the mean whose rate is a speed
+_NOISY = 0.15  # of a speed, that may be noise
 _BAND = (0.05, 0.95)  # shares of the power of the speed that bound the band
 BEYOND = 0.1  # of a joint's range, by which a position may lie outside it
 _MANY = 3.0  # times a range, from which a motion tells that it is read in degrees
@@ -60,9 +63,7 @@ def _moved(channel: Channel, recording: str, joint: str) -> dict[str, object]:
         )
     q = np.interp(grid, channel.time, channel.values)
     noise = noise_sigma(channel.time, channel.values)
-    width = int(np.clip(round(0.02 / dt), 1, len(q) // 2))
-    smooth = np.convolve(q, np.ones(width) / width, mode="valid")
-    speed = np.diff(smooth) / dt
+    smooth, speed = _smoothed(q, dt, noise)
     frequency, power = welch(speed, 1 / dt, nperseg=min(len(speed), round(8 / dt) or 1))
     share = np.cumsum(power) / max(float(power.sum()), 1e-300)
     low, high = (float(frequency[np.searchsorted(share, b).clip(0, len(share) - 1)]) for b in _BAND)
@@ -76,6 +77,23 @@ def _moved(channel: Channel, recording: str, joint: str) -> dict[str, object]:
         "high_hz": high,
         "noise": noise,
     }
+
+
+def _smoothed(
+    q: Float[np.ndarray, " T"], dt: float, noise: float
+) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " n"]]:
+    """Return a mean that moves along a position, and its rate, over which noise has little say.
+
+    The mean of k samples moves by (q[i + k] - q[i]) / k from one to the next, of which noise of
+    deviation σ is √2 σ / k.
+    """
+    for width in _WIDTHS:
+        count = int(np.clip(round(width / dt), 1, len(q) // 2))
+        smooth = np.convolve(q, np.ones(count) / count, mode="valid")
+        speed = np.diff(smooth) / dt
+        if np.sqrt(2.0) * noise / (count * dt) <= _NOISY * np.sqrt(np.mean(speed**2)):
+            break
+    return smooth, speed
 
 
 def _reversals(q: np.ndarray, least: float) -> int:

@@ -56,7 +56,10 @@ _QUANTITIES: dict[str, tuple[str, dict[str, float]]] = {
     "angular acceleration": ("rad/s²", {"rad/s²": 1, "rad/s2": 1, "deg/s²": _DEGREE}),
     "acceleration": ("m/s²", {"m/s²": 1, "m/s2": 1, "mm/s²": 1e-3, "g0": 9.80665}),
     "torque": ("N m", {"N m": 1, "mN m": 1e-3, "N cm": 1e-2, "N mm": 1e-3, "kgf cm": 0.0980665}),
-    "force": ("N", {"N": 1, "mN": 1e-3, "kN": 1e3, "kgf": 9.80665}),
+    "force": (
+        "N",
+        {"N": 1, "mN": 1e-3, "kN": 1e3, "kgf": 9.80665, "gf": 9.80665e-3, "lbf": 4.4482216},
+    ),
     "voltage": ("V", {"V": 1, "mV": 1e-3}),
     "current": ("A", {"A": 1, "mA": 1e-3, "uA": 1e-6, "µA": 1e-6}),
     "power": ("W", {"W": 1, "mW": 1e-3, "kW": 1e3}),

@@ -19,7 +19,7 @@ _NOT_SI |= dict.fromkeys(("inch", "inches", "ft", "foot", "feet", "yd", "km"), "
 _NOT_SI |= dict.fromkeys(("lbf", "ozf", "kgf", "gf"), "N")
 _NOT_SI |= dict.fromkeys(("psi", "bar", "mbar", "kpa", "mpa", "gpa", "atm"), "Pa")
 _NOT_SI |= dict.fromkeys(("hp", "kw"), "W") | {"mph": "m/s", "kph": "m/s", "h": "s", "hour": "s"}
-"""Words of units that columns are not recorded in, with the SI unit instead."""
+"""Words of units in which no bounds are written, with the SI unit instead."""
 
 
 def require_si(study: "Study", number: int) -> None:
