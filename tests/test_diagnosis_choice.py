@@ -500,6 +500,18 @@ def test_names_that_leave_much_are_hints(friction) -> None:
     assert hint == pytest.approx(sure * 0.7 / 0.98)
 
 
+@pytest.mark.parametrize(("rms", "share"), [(2.9, 0.7), (3.1, 0.2)])
+def test_something_unknown_is_likelier_than_names_far_from_the_recordings(
+    friction, rms: float, share: float
+) -> None:
+    machine, outcome = friction.prepared.problem.machine, explain(friction)
+    sure = make_answer(friction.decision, outcome, machine).findings[0].probability / 0.98
+    unknown = Unexplained(0.2, "joint", "elbow")
+    far = replace(outcome, fit=replace(outcome.fit, rms=rms), unexplained=unknown)
+    (found,) = make_answer(friction.decision, far, machine).findings
+    assert found.probability == pytest.approx(share * sure)
+
+
 @pytest.mark.parametrize(
     ("deviance", "probability", "said"),
     [

@@ -13,6 +13,7 @@ from bo_sysid.diagnosis.answer.findings import Finding, findings, named
 from bo_sysid.diagnosis.answer.unexplained import Unexplained
 from bo_sysid.diagnosis.sets.decide import Decision
 from bo_sysid.diagnosis.sets.fit import Fit
+from bo_sysid.diagnosis.windows.problem import ROUGH
 from bo_sysid.effects import Machine
 from bo_sysid.effects.contract import Family
 from bo_sysid.runs import digest
@@ -27,6 +28,7 @@ _EQUIVALENTS = 3  # told of one name
 _UNHEARD = 0.02
 _STRANGER = {"effect": "unknown", "kind": "world", "site": "world", "value": 0.0}
 _BESIDE_NAMES = 0.3  # where something stays unexplained beside names, or names are doubtful
+_FROM_AFAR = 0.8  # where names are far from the recordings: three that were, all were wrong
 _UNNAMED = 0.9  # where nothing is named and something unexplained: so it was in 29 of 30
 
 
@@ -109,7 +111,7 @@ def make_answer(
 
     Where names are doubtful an effect outside the catalogue is as probable as beside something
     that stays unexplained: in contact, where they were wrong more often than their fits say, and
-    where `hints` says why.
+    where `hints` says why. It is likelier than names that leave far more than noise.
 
     Names that a learned law replaces, or that recordings disagree on, are no findings. Where others
     of their set stay, these have its probability; where none does, it is among the alternatives.
@@ -128,6 +130,8 @@ def make_answer(
     best, kept = decision.best, outcome.fit
     flagged, unnamed = outcome.unexplained.flagged, not kept.members
     none_of_these = _BESIDE_NAMES if flagged or doubtful else _UNHEARD
+    if flagged and kept.rms > ROUGH:
+        none_of_these = _FROM_AFAR
     if unnamed and (flagged or best.members):
         none_of_these = _UNNAMED
     posterior = (1.0 - none_of_these) * decision.probability
