@@ -4,6 +4,7 @@ from dataclasses import replace
 from math import pi
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pandas as pd
 import pytest
@@ -221,6 +222,27 @@ def test_a_current_of_which_the_model_explains_nothing_lacks_its_scale(tmp_path:
     started = init(tmp_path / "boom.xml", [tmp_path / "log.csv"], tmp_path / "boom.yaml")
     guess = started.rules.guesses["ctrl.boom_drive"]
     assert "scale" not in started.rules.columns["ctrl.boom_drive"]
+    assert "its scale is missing" in guess.reason
+    assert guess.confidence <= 0.5
+
+
+def test_a_current_whose_constant_friction_hides_lacks_its_scale(tmp_path: Path) -> None:
+    """Whatever one ampere gives, a rotor and friction that the model lacks explain the motion."""
+    model = """<mujoco><option timestep=".002"/><worldbody><body><joint name="rail" type="slide"
+        axis="1 0 0" damping="{}"/><geom size=".02" mass=".2"/></body></worldbody>
+        <actuator><motor name="drive" joint="rail"/></actuator></mujoco>"""
+    (tmp_path / "rail.xml").write_text(model.format(1))
+    time = np.arange(0.0, 8.0, 0.01)
+    force = 1.5 * np.sign(tones(time, 3))
+    compiled = mujoco.MjModel.from_xml_string(model.format(20))
+    start = State(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 0)))
+    run = Engine(1).rollout(compiled, start, np.repeat(force, 5)[None, :, None])
+    place = run.qpos[0, :-1:5, 0] + 1e-5 * np.random.default_rng(0).standard_normal(len(time))
+    log = tmp_path / "log.csv"
+    pd.DataFrame({"time": time, "rail_mm": 1e3 * place, "i_drive_mA": force / 0.05 * 1e3}).to_csv(
+        log, index=False
+    )
+    guess = init(tmp_path / "rail.xml", [log], tmp_path / "rail.yaml").rules.guesses["ctrl.drive"]
     assert "its scale is missing" in guess.reason
     assert guess.confidence <= 0.5
 

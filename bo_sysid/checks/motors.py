@@ -37,6 +37,16 @@ def scaled(
         yield _with_gains(h, {n: found[n] for n in names})
 
 
+def told(evidence: WiringEvidence, delays: Sequence[float]) -> frozenset[str]:
+    """Return the controls of motors of which the recordings tell what one unit gives.
+
+    Of others friction or a rotor that the model lacks explains as much, whatever their constant is.
+    """
+    h = evidence.identity()
+    known = [n for n in evidence.motors if evidence.weights[evidence.dof(n)]]
+    return frozenset(n for n in known if _gain(evidence, h, n, delays))
+
+
 def refined(evidence: WiringEvidence, h: WiringHypothesis) -> WiringHypothesis:
     """Return the hypothesis with the constants that suit its delay, of three digits."""
     for name, wire in h.wires.items():

@@ -8,18 +8,13 @@ from tempfile import TemporaryDirectory
 from typing import Literal
 
 import mujoco
-import numpy as np
 import pandas as pd
 
-from bo_sysid.checks.motion import excitation, resting
-from bo_sysid.effects.surveying import survey
 from bo_sysid.errors import RecordingError, UserError
 from bo_sysid.mjcf import Loops, Model
-from bo_sysid.mjcf.commands import driven_joint, other_drives
 from bo_sysid.mjcf.edits import MotorEdit
-from bo_sysid.mjcf.joints import FREE, SCALAR, SLIDE
-from bo_sysid.recording import RawTable, Recording, read_tables
-from bo_sysid.recording.alignment import instants_in
+from bo_sysid.mjcf.joints import FREE, SCALAR
+from bo_sysid.recording import RawTable, read_tables
 from bo_sysid.runs import atomic
 from bo_sysid.starter.behaviour import agrees, by_behaviour
 from bo_sysid.starter.blanks import skipping
@@ -27,11 +22,10 @@ from bo_sysid.starter.columns import spoilt
 from bo_sysid.starter.guess import Rules, guess_rules, read
 from bo_sysid.starter.pose import pose_guesses
 from bo_sysid.starter.reading import constant_hint, without_constant
+from bo_sysid.starter.scales import joint_scales
+from bo_sysid.starter.signs import constants_told
 from bo_sysid.starter.supply import with_supply
 from bo_sysid.starter.write import relative, study_text
-
-_WINDOW = 0.3  # [s]
-_RESTING = 2  # times the drive's standard deviation, that friction may be of what rests at times
 
 
 @dataclass(frozen=True)
@@ -165,11 +159,13 @@ def _guessed(
         ):
             return _guessed(source, whole, recognised, tables, base)
         rules = with_supply(tables, rules)
-        scales = _scales(nominal, [read(t, rules) for t in tables])
+        recordings = [read(t, rules) for t in tables]
+        scales = joint_scales(nominal, recordings)
         hints = _hints(nominal, tables[0], rules)
-        bare = [
-            n for n in hints if "scale" not in rules.columns[n] and not agrees(rules.guesses[n])
-        ]
+        bare = [n for n in hints if "scale" not in rules.columns[n]]
+        if bare:
+            known = constants_told(nominal.compile(), recordings)
+            bare = [n for n in bare if not (agrees(rules.guesses[n]) and n in known)]
         marked = {n: without_constant(rules.guesses[n]) for n in bare}
         return edits, replace(rules, guesses={**rules.guesses, **marked}), scales, hints
 
@@ -252,66 +248,3 @@ def _motor_notes(
             f"for joints that hang free. If a column says it, add a motor to {motors.name}."
         )
     return notes
-
-
-def _scales(model: Model, recordings: Sequence[Recording]) -> pd.DataFrame:
-    """Return bounds of what a joint may lack, and how it moved in any recording.
-
-    Damping or a rotor that alone needs what the actuators gave, as a standard deviation, is the
-    most that is worth trying, or twice what the model has where that is more; a joint without any
-    is bounded by what moved it. Of friction it is twice that: a joint that rests most of the time
-    needs less than its friction, as a standard deviation.
-    """
-    compiled = model.compile()
-    machine = survey(compiled, recordings)
-    motion = excitation(recordings, compiled)
-    fastest = motion.groupby("joint")["fastest"].max()
-    still = resting(motion)
-    floating = _floating_by_joints(compiled)
-    rows = []
-    for name, joint in machine.joints.items():
-        values = np.concatenate([r.channels[f"qpos.{name}"].values for r in recordings])
-        force = sum(machine.actuators[a].force_std for a in joint.actuators)
-        own = compiled.joint(name)
-        rows.append(
-            {
-                "joint": name,
-                "slides": int(own.type[0]) == SLIDE,
-                "mute": "never moves in the log, which says nothing of it"
-                if name in still
-                else "is how the base floats: nothing rubs there"
-                if name in floating
-                else "",
-                "friction": _bound(_RESTING * (force or joint.force), own.frictionloss),
-                "damping": _bound((force or joint.force) / joint.speed, own.damping),
-                "armature": _bound(force / joint.acceleration or joint.inertia, own.armature),
-                "low": float(values.min()),
-                "high": float(values.max()),
-                "speed": float(fastest[name]),
-            }
-        )
-    horizon = instants_in(_WINDOW, recordings, model.shown_channels)
-    return pd.DataFrame(rows).assign(horizon=horizon)
-
-
-def _bound(tried: float, own: np.ndarray) -> float:
-    """Return the most of what a joint has that is worth trying; what the model has lies inside."""
-    return max(tried, 2 * float(own[0]))
-
-
-def _floating_by_joints(model: mujoco.MjModel) -> set[str]:
-    """Return the joints by which a base floats in a plane: several of a body, none of them driven.
-
-    Unlike bearings they are no part of the machine. One of them slides: two hinges of a body are a
-    universal joint.
-    """
-    directly = {driven_joint(model, a) for a in range(len(model.actuator_trntype))}
-    found: set[str] = set()
-    for body in np.flatnonzero((model.body_parentid == 0) & (model.body_jntnum > 1)):
-        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
-        own = range(first, first + count)
-        names = {model.joint(j).name for j in own}
-        slides = (model.jnt_type[list(own)] == SLIDE).any()
-        if slides and names.isdisjoint(directly) and not any(other_drives(model, n) for n in names):
-            found |= names
-    return found

@@ -7,6 +7,7 @@ from math import pi
 import mujoco
 import numpy as np
 
+from bo_sysid.checks import motors
 from bo_sysid.checks.evidence import WiringEvidence
 from bo_sysid.checks.motion import beyond_range, turned_inside
 from bo_sysid.checks.score import MARGIN
@@ -92,6 +93,12 @@ def tested_signs(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Test
             mirrored |= dict(zip(pair, reversed(pair), strict=True))
     known = zip(evidence.joints, before.tolist(), evidence.weights, strict=True)
     return Tested({j: share for j, share, weight in known if weight}, undetermined, mirrored)
+
+
+def constants_told(model: mujoco.MjModel, recordings: Sequence[Recording]) -> frozenset[str]:
+    """Return the controls of motors of which the motion tells what one unit of them gives."""
+    evidence = evidence_of(model, recordings)
+    return frozenset() if evidence is None else motors.told(evidence, _DELAYS)
 
 
 def _why(evidence: WiringEvidence, name: str, shares: np.ndarray) -> str:
