@@ -74,3 +74,33 @@ def test_a_zero_is_no_load() -> None:
     found = wiring("", 0.4)
     assert found.wires["qpos.roll"].offset == pytest.approx(-0.4, abs=0.01)
     assert not [f for f in found.flags if f.kind == "load"]
+
+
+STAND = """
+<mujoco>
+  <option timestep="0.002" integrator="implicitfast"/>
+  <worldbody><body><joint name="pitch" axis="0 1 0" damping=".01"/>
+    <geom type="capsule" fromto="-.2 0 -.05 .2 0 -.05" size=".01" mass=".5"/></body></worldbody>
+  <actuator><motor name="motor" joint="pitch"/></actuator>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize("constant", [-0.15, 0.15])
+def test_a_constant_torque_may_be_what_seems_to_be_another_zero(constant: float) -> None:
+    """About one pose both do the same: a propeller with an offset was told a zero of .7 rad."""
+    model = mujoco.MjModel.from_xml_string(STAND)
+    data, rng, rows = mujoco.MjData(model), np.random.default_rng(0), []
+    for goal in 0.15 * np.sin(3 * TIME) + 0.1 * np.sin(7.1 * TIME):
+        angle, speed = float(data.qpos[0]), float(data.qvel[0])
+        torque = 2.0 * (goal - angle) - 0.15 * speed - constant
+        rows.append([angle + 1e-4 * rng.standard_normal(), torque])
+        data.ctrl[0] = torque + constant
+        mujoco.mj_step(model, data, 2)
+    shown, told = np.array(rows).T
+    log = Recording.from_arrays(TIME, qpos={"pitch": shown}, ctrl={"motor": told})
+    found = find_wiring(Model.from_xml(STAND).compile(), [log])
+    assert not found.wires
+    (flag,) = (f for f in found.flags if f.kind == "zero")
+    assert (flag.level, flag.channels) == ("look", ("qpos.pitch",))
+    assert "a constant force at pitch as well" in flag.sentence

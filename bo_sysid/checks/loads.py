@@ -10,6 +10,7 @@ which is fitted to what the balance of forces leaves. A zero that is wrong moves
 which no masses of one sign do.
 """
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -46,7 +47,9 @@ class Load:
 def without_loads(
     evidence: WiringEvidence, found: WiringHypothesis, first: WiringHypothesis
 ) -> tuple[WiringHypothesis, list[Flag]]:
-    """Return a hypothesis without the zeros of encoders that a load explains better, and why.
+    """Return a hypothesis without the zeros that a load, or a constant force, explains, and why.
+
+    A load must explain more, a constant force as much.
 
     Args:
         evidence: the recordings.
@@ -64,7 +67,9 @@ def without_loads(
     load = _best_load(evidence, instead, [n.removeprefix("qpos.") for n in zeros])
     score = float(evidence.scores(found, [found.delay])[0])
     if load is None or load.score > score - MARGIN:
-        return found, []
+        if _by_constant_forces(evidence, instead, list(zeros)) > score:
+            return found, []
+        return instead, [_constant_flag(found, zeros)]
     names = " and ".join(zeros)
     sentence = (
         f"A load of about {load.mass:.2g} kg on body {load.body} that the model lacks explains the "
@@ -72,6 +77,28 @@ def without_loads(
         "carries, or let diagnose look for it."
     )
     return instead, [Flag("look", "load", tuple(zeros), sentence, {"mass": load.mass})]
+
+
+def _by_constant_forces(
+    evidence: WiringEvidence, h: WiringHypothesis, positions: Sequence[str]
+) -> float:
+    """Return the score of a hypothesis with constant forces at the joints of some positions."""
+    given = evidence.terms(h).actuated(evidence.controls(h, h.delay))[None]
+    without, beside = (unexplained(evidence.terms(h), given, varying=v)[0] for v in (False, True))
+    free = np.isin(evidence.joints, [n.removeprefix("qpos.") for n in positions])
+    return float(np.log(np.where(free, beside, without) + FLOOR) @ evidence.weights)
+
+
+def _constant_flag(found: WiringHypothesis, zeros: Iterable[str]) -> Flag:
+    """Return in words that other zeros may be constant forces."""
+    names = tuple(zeros)
+    offsets = " and ".join(f"{n} by {found.wires[n].offset:.3g}" for n in names)
+    sentence = (
+        f"Another zero of {offsets} would explain the forces, and a constant force at "
+        f"{' and '.join(n.removeprefix('qpos.') for n in names)} as well: these recordings do not "
+        "tell. Look at the machine where it rests."
+    )
+    return Flag("look", "zero", names, sentence)
 
 
 def _best_load(evidence: WiringEvidence, h: WiringHypothesis, joints: list[str]) -> Load | None:
