@@ -35,6 +35,7 @@ from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.meshing import backlash_suspects
 from bo_sysid.diagnosis.unexplained.missing_force import missing_force
+from bo_sysid.diagnosis.windows.candidate import candidates
 from bo_sysid.diagnosis.windows.evidence import make_evidence
 from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.effects import CATALOGUE, survey
@@ -538,6 +539,22 @@ def test_what_speaks_for_an_answer_beside_its_equal_is_said(
     )
     (sentence,) = rivals(decision, machine)
     assert said in sentence
+
+
+def test_forces_at_hinges_and_slides_have_units_of_their_own(friction) -> None:
+    cart = """<mujoco><worldbody><body><joint name="rail" type="slide" axis="1 0 0"/>
+      <geom size=".1"/><body><joint name="pole" axis="0 1 0"/><geom size=".05" pos="0 0 .3"/></body>
+      </body></worldbody></mujoco>"""
+    time = np.arange(0.0, 2.0, 0.01)
+    log = Recording.from_arrays(time, qpos={"rail": np.sin(time), "pole": np.sin(2 * time)})
+    machine = survey(Model.from_xml(cart).compile(), [log])
+    forces = tuple(candidates([CATALOGUE["constant_force"]], machine))
+    best = friction.decision.best
+    both = replace(best.hypothesis, members=forces, x=(np.array([-0.346]), np.array([0.07])))
+    other = replace(best, hypothesis=both, groups=("constant_force",) * 2)
+    decision = replace(friction.decision, best=replace(best, cv=best.cv), equivalents=(other,))
+    (sentence,) = rivals(decision, machine)
+    assert "(-0.346 N, 0.07 N m)" in sentence
 
 
 def test_however_many_sets_are_open_something_unheard_of_is_one_of_the_alternatives(

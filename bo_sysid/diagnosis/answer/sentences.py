@@ -182,13 +182,20 @@ def _beyond(fit: Fit, other: Fit, machine: Machine, *, sized: bool = True) -> st
     words = []
     for unit in units_beyond(fit, other):
         held = [(fit.members[k], fit.members[k].full(fit.x[k])) for k in unit]
-        values = [c.effect.reported(x, machine, c.site) for c, x in held]
-        size = " to ".join(dict.fromkeys(f"{v:.3g}" for v in (min(values), max(values))))
+        by_unit: dict[str, list[float]] = {}  # hinges and slides have their own
+        for c, x in held:
+            value = float(c.effect.reported(x, machine, c.site))
+            by_unit.setdefault(_unit(c, machine), []).append(value)
+        size = ", ".join(f"{_range(values)}{unit}" for unit, values in by_unit.items())
         # of several numbers the first alone does not say how large it is
         one = all(min(c.size, c.effect.acting) == 1 or c.effect.vector for c, _ in held)
-        size_text = f" ({size}{_unit(held[0][0], machine)})" if sized and one else ""
+        size_text = f" ({size})" if sized and one else ""
         words.append(unit_words([c for c, _ in held]) + size_text)
     return " with ".join(words)
+
+
+def _range(values: Sequence[float]) -> str:
+    return " to ".join(dict.fromkeys(f"{v:.3g}" for v in (min(values), max(values))))
 
 
 def unit_words(members: Sequence[Candidate]) -> str:
