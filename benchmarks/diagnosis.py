@@ -1,7 +1,7 @@
 """How often the diagnosis is right, and how well its repaired models forecast.
 
 Cases are drawn with fixed seeds (`diagnosis_cases.py`): the nominal model with effects in it,
-stepped eight times finer, seen through noisy joint positions. Each figure is a share,
+stepped at 50 µs, seen through noisy joint positions. Each figure is a share,
 the number of its cases and its 95 % interval; "singles", "pairs" and "logs" (singles in logs of
 50 to 1000 Hz, one of them uneven) count sizes from 2 sigma up, "contact" (dm-control's cheetah and
 hopper) from 3 sigma up, "geared" a six-joint arm that lacks friction, damping and rotors at all
