@@ -3,11 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from diagnosis_helpers import arm, candidate, posed, record
 from scipy.optimize import lsq_linear
 
 from bo_sysid.diagnosis.answer.findings import findings
+from bo_sysid.diagnosis.answer.quantities import parameters_of
+from bo_sysid.diagnosis.answer.sentences import parameters_sentence
 from bo_sysid.diagnosis.search.locate import locate
 from bo_sysid.diagnosis.sets.cross_validation import cross_validated
 from bo_sysid.diagnosis.sets.fit import assess, sandwich
@@ -24,6 +27,7 @@ from bo_sysid.diagnosis.windows.settling import first_start, settle
 from bo_sysid.diagnosis.windows.timestep import SHARE_BOUNDS
 from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import CATALOGUE
+from bo_sysid.intervals import amount
 from bo_sysid.parameters import Parameter
 
 TRUTH = [("dry_friction", "joint", "elbow", [0.02]), ("payload", "body", "forearm", [0.02])]
@@ -195,6 +199,29 @@ def test_an_effect_is_found_beside_a_parameter_that_is_at_its_bound() -> None:
     assert finding.before == arm().compile().joint("elbow").damping[0]
     told = float(finding.sentence.split(" is ")[1].split(" ±")[0])
     assert told == pytest.approx(finding.after, abs=1e-3)
+
+
+@pytest.mark.parametrize("high", [0.3, 0.1])
+def test_a_parameter_is_told_with_an_interval_within_its_bounds(high: float) -> None:
+    parameter = Parameter("damping", ("joint[elbow].damping",), 0.0, high, unit="N m s/rad")
+    own = float(arm().compile().joint("elbow").damping[0])
+    recording = record([("viscous_damping", "joint", "elbow", [0.1 - own])], duration=5.0)
+    friction = [CATALOGUE["dry_friction"]]
+    evidence = make_evidence(
+        arm(), [recording], effects=friction, parameters=[parameter], threads=1
+    )
+    best = locate(evidence).decision.best
+    (told,) = parameters_of(best, evidence.machine)
+    assert not best.members
+    low, last = told.interval
+    assert 0.095 < low < 0.1 <= last < 0.105
+    assert last == 0.1 if high == 0.1 else last > 0.1005
+    assert told.value == own + best.hypothesis.nuisance_x[0][0]
+    table = pd.DataFrame(
+        [("damping", told.unit, own, told.value, *told.interval, False)],
+        columns=["name", "unit", "model", "fitted", "low95", "high95", "at_bound"],
+    )
+    assert f"damping {amount(told)} ({own:.4g})" in parameters_sentence(table)
 
 
 def test_a_magnitude_that_acts_in_second_order_does_not_hold_up_the_others() -> None:

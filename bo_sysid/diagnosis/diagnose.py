@@ -74,7 +74,7 @@ class Diagnosis:
 
     @property
     def parameters(self) -> pd.DataFrame:
-        """The study's parameters beside the findings: name, unit, model, fitted, at_bound."""
+        """The study's parameters beside the findings: see `Frozen.parameters`."""
         return self.frozen.parameters
 
     def as_json(self) -> dict[str, Any]:

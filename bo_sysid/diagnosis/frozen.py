@@ -9,6 +9,7 @@ from bo_sysid.diagnosis.answer.argmin import ArgminSets, argmin_sets
 from bo_sysid.diagnosis.answer.experiment import next_experiment
 from bo_sysid.diagnosis.answer.explain import Outcome, explain
 from bo_sysid.diagnosis.answer.hints import doubtful
+from bo_sysid.diagnosis.answer.quantities import parameters_of
 from bo_sysid.diagnosis.answer.trifle import with_trifle
 from bo_sysid.diagnosis.answer.uncrossed import uncrossed_plays
 from bo_sysid.diagnosis.search.locate import Located, locate
@@ -18,8 +19,6 @@ from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.windows.windowing import in_contact
 from bo_sysid.effects import Machine, survey
 from bo_sysid.study import Study
-
-_UNMOVED = 1e-6  # of a parameter's range: what its bounds leave beside the model's own value
 
 
 @dataclass(frozen=True)
@@ -50,14 +49,18 @@ class Frozen:
 
     @property
     def parameters(self) -> pd.DataFrame:
-        """The study's parameters beside the findings: name, unit, model, fitted, at_bound."""
+        """The study's parameters beside the findings.
+
+        Columns name, unit, model, fitted, low95, high95 and at_bound.
+        """
         h, machine = self.outcome.fit.hypothesis, self.evidence.machine
-        columns = ["name", "unit", "model", "fitted", "at_bound"]
-        rows = []
-        for c, x, bound in zip(h.nuisances, h.nuisance_x, h.bound, strict=True):
-            model = c.effect.nominal(c.site, machine)
-            moved = 0.0 if abs(x[0]) < _UNMOVED * (c.high - c.low)[0] else float(x[0])
-            rows.append((c.site.name, c.effect.unit, model, model + moved, bound))
+        columns = ["name", "unit", "model", "fitted", "low95", "high95", "at_bound"]
+        rows = [
+            (c.site.name, q.unit, c.effect.nominal(c.site, machine), q.value, *q.interval, bound)
+            for c, q, bound in zip(
+                h.nuisances, parameters_of(self.outcome.fit, machine), h.bound, strict=True
+            )
+        ]
         return pd.DataFrame(rows, columns=columns)
 
 

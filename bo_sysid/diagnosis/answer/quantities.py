@@ -19,6 +19,7 @@ _RELATIVE_PRESLIDING = (
     0.15  # the same of speed and presliding of friction: a time step changes what they do
 )
 _TIME = 0.3e-3  # [s] the same for times
+_UNMOVED = 1e-6  # of a parameter's range: what its bounds leave beside the model's own value
 
 
 def quantities(fit: Fit, machine: Machine) -> tuple[Quantity, ...]:
@@ -28,6 +29,21 @@ def quantities(fit: Fit, machine: Machine) -> tuple[Quantity, ...]:
         _value(c, x, fit.covariance[own, own], machine)
         for c, x, own in zip(fit.members, fit.x, slices, strict=True)
     )
+
+
+def parameters_of(fit: Fit, machine: Machine) -> tuple[Quantity, ...]:
+    """Return what each of the study's parameters in a fit was fitted to.
+
+    A fit knows them as changes of the model's own values.
+    """
+    h = fit.hypothesis
+    said = []
+    for c, x, own in zip(h.nuisances, h.nuisance_x, h.slices[len(h.members) :], strict=True):
+        model = c.effect.nominal(c.site, machine)
+        moved = 0.0 if abs(x[0]) < _UNMOVED * (c.high - c.low)[0] else float(x[0])
+        found = _quantity(model + moved, fit.covariance[own, own].item(), c.effect.unit)
+        said.append(_within(found, model + float(c.low[0]), model + float(c.high[0])))
+    return tuple(said)
 
 
 def _value(

@@ -14,7 +14,7 @@ from bo_sysid.diagnosis.sets.groups import units_beyond, units_of
 from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.effects import Machine
 from bo_sysid.effects.units import unit_at
-from bo_sysid.intervals import amount
+from bo_sysid.intervals import Quantity, amount
 
 _RIVALS = 3
 _LISTED = 8  # parameters
@@ -73,15 +73,16 @@ def parameters_sentence(parameters: pd.DataFrame) -> str:
     """Return what the study's parameters were fitted to, in words; empty where it has none.
 
     Args:
-        parameters: columns name, unit, model, fitted and at_bound.
+        parameters: see `Frozen.parameters`.
     """
     if parameters.empty:
         return ""
     changed = []
-    for p in parameters.head(_LISTED).itertuples():
-        bound = ", at its bound" if p.at_bound else ""
-        unit = "" if p.unit in ("", "1") else f" {p.unit}"
-        changed.append(f"{p.name} {p.fitted:.4g}{unit} ({p.model:.4g}{bound})")
+    for p in parameters.head(_LISTED).to_dict("records"):
+        bound = ", at its bound" if p["at_bound"] else ""
+        unit = "–" if p["unit"] in ("", "1") else p["unit"]
+        fitted = amount(Quantity(p["fitted"], unit, (p["low95"], p["high95"])))
+        changed.append(f"{p['name']} {fitted} ({p['model']:.4g}{bound})")
     more = f" and {len(parameters) - _LISTED} more" if len(parameters) > _LISTED else ""
     return f"Fitted, and in the model as it was: {'; '.join(changed)}{more}."
 
