@@ -456,3 +456,14 @@ def test_what_an_offset_takes_to_zero_is_not_moved_by_a_turn():
     rule = {"qpos.b": {"from": "enc", "unit": "deg", "unwrap": True, "offset": -np.pi}}
     read_back = np.degrees(read(rule, enc=angle % 360.0).channels["qpos.b"].values)
     np.testing.assert_allclose(read_back, angle - 180, atol=1e-9)
+
+
+def test_a_column_that_a_rule_reads_is_no_other_channel():
+    rules = {"time": "time [ms]", "qpos.b": {"from": "qpos.b [deg]", "unit": "deg"}}
+    table = RawTable("log.csv", {"time [ms]": TIME, "qpos.b [deg]": WAVE, "qpos.c_raw": WAVE})
+    recording = to_recording(table, rules, no_channels=["qpos.c_raw"])
+    assert set(recording.channels) == {"qpos.b"}
+    np.testing.assert_allclose(recording.channels["qpos.b"].values, np.pi / 180 * WAVE, rtol=1e-14)
+    assert "Columns not used: qpos.c_raw." in recording.notes
+    with pytest.raises(RecordingError, match=r"channel 'qpos.b \[deg\]' must be named"):
+        to_recording(table, {"time": "time [ms]"})  # nothing says which joint that is

@@ -31,7 +31,7 @@ from bo_sysid.study.inputs import (
     require_holdout,
 )
 from bo_sysid.study.overview import overview
-from bo_sysid.study.requirements import require_limits, require_scales
+from bo_sysid.study.requirements import require_known, require_limits, require_scales
 from bo_sysid.study.sections import Clock, Column
 
 STUDIES = [
@@ -689,6 +689,22 @@ def test_the_motion_of_a_joint_that_is_held_is_not_used(tmp_path: Path) -> None:
     (recording,) = load_train(Study.from_dict(content, tmp_path))
     assert set(recording.channels) == {"qpos.shoulder"}
     assert any("qpos.elbow is not used: its joint is held" in n for n in recording.notes)
+
+
+def test_a_column_called_like_another_joint_is_read_as_the_study_says(tmp_path: Path) -> None:
+    lines = ["time,qpos.shoulder,qpos.elbow_deg", *(f"{k / 100},{k},{k % 7}" for k in range(100))]
+    lines[50] = lines[50].rpartition(",")[0] + ","
+    (tmp_path / "log.csv").write_text("\n".join(lines))
+    (tmp_path / "arm.xml").write_text(ARM)
+    elbow = {"from": "qpos.elbow_deg", "unit": "deg", "missing": "skip"}
+    tied = {"from": "qpos.shoulder"}  # the model has it: it is itself as well
+    recordings = {"train": ["log.csv"], "holdout": ["log.csv"]}
+    recordings["columns"] = {"qpos.elbow": elbow, "aux.shown": tied}
+    study = Study.from_dict({"model": "arm.xml", "recordings": recordings}, tmp_path)
+    (recording,) = load_train(study)
+    require_known(load_model(study), recording)
+    assert set(recording.channels) == {"qpos.shoulder", "qpos.elbow", "aux.shown"}
+    assert recording.channels["qpos.elbow"].values.max() == pytest.approx(np.radians(6))
 
 
 @pytest.mark.parametrize(("unit", "apply"), [("deg", "set"), ("rad", None), ("deg", "scale")])

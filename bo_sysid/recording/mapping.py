@@ -5,7 +5,7 @@ study say the rest. A column ``time.<kind>`` or ``time.<channel>`` is the clock 
 channel. Nothing is guessed, and what was done is said in the recording's notes.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -36,6 +36,7 @@ from bo_sysid.recording.value import (
     Recording,
     kind_of,
     stated_for,
+    wrong_name,
 )
 
 _SEVERAL = 20  # stamps, from which their distance is looked at
@@ -50,6 +51,7 @@ def to_recording(
     *,
     name: str = "recording",
     strict: bool = False,
+    no_channels: Collection[str] = (),
 ) -> Recording:
     """Map a raw table to a recording.
 
@@ -60,14 +62,18 @@ def to_recording(
         name: name of the recording where the file does not say one.
         strict: refuse what is otherwise used and noted (gaps, jitter, duplicate stamps, outliers,
             …).
+        no_channels: columns that are called like channels and are none.
 
     Raises:
         RecordingError: the message names file, column, row, the rule and the nearest choice.
     """
     rules = {k: ColumnRule.parse(k, r) for k, r in (columns or {}).items()}
     clock_rules = {k: ClockRule.parse(k, r) for k, r in (clocks or {}).items()}
+    read = {rule.source for rule in rules.values()}
     for column in table.columns:
-        if kind_of(column) in KINDS and "." in column:
+        # "qpos.elbow [deg]" that a rule reads is no other channel, which could not be called so
+        none = column in no_channels or (column in read and wrong_name(column))
+        if kind_of(column) in KINDS and "." in column and not none:
             rules.setdefault(column, ColumnRule())
     name = table.name or name
     if (timed := rules.get("time")) and timed.rate:

@@ -5,7 +5,7 @@ A reader turns a file into a `RawTable` and interprets nothing; the rest is sett
 decorator `reader`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -57,11 +57,15 @@ def read_recordings(
     columns: Mapping[str, Any] | None = None,
     clocks: Mapping[str, Any] | None = None,
     strict: bool = False,
+    no_channels: Collection[str] = (),
 ) -> tuple[Recording, ...]:
-    """Read a log that may hold several recordings; see `read_recording`."""
+    """Read a log that may hold several recordings; see `read_recording` and `to_recording`."""
     path, tables = Path(path), read_tables(path)
     name = path.name if path.is_dir() else path.name[: -len(_ending(path))]
-    return tuple(to_recording(table, columns, clocks, name=name, strict=strict) for table in tables)
+    return tuple(
+        to_recording(t, columns, clocks, name=name, strict=strict, no_channels=no_channels)
+        for t in tables
+    )
 
 
 def read_recording(

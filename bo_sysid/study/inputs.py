@@ -15,8 +15,10 @@ from bo_sysid.effects.readings import readings
 from bo_sysid.errors import ModelError, RecordingError, UserError, nearest
 from bo_sysid.execution.files import run_file
 from bo_sysid.mjcf import Model
-from bo_sysid.recording import Recording, load_dataset, read_recordings
+from bo_sysid.recording import ColumnRule, Recording, load_dataset, read_recordings
+from bo_sysid.recording.value import kind_of, wrong_name
 from bo_sysid.runs import versions
+from bo_sysid.study.requirements import known_channels
 from bo_sysid.study.rules import clock_rules, column_rules
 from bo_sysid.study.study import Study
 
@@ -268,10 +270,22 @@ def read_files(study: Study, files: Sequence[Path], strict: bool) -> tuple[Recor
         RecordingError: a file cannot be read or is wrong.
         StudyError: a rule says nothing of its channel, or has an unknown unit.
     """
-    columns = column_rules(study)
-    clocks = clock_rules(study)
-    found = [(f, r) for f in files for r in read_recordings(f, columns, clocks, strict)]
+    columns, clocks = column_rules(study), clock_rules(study)
+    sources = _sources_alone(study, columns)
+    found = [(f, r) for f in files for r in read_recordings(f, columns, clocks, strict, sources)]
     return tuple(_without_held(r, study.model.hold) for r in _named_apart(found))
+
+
+def _sources_alone(study: Study, rules: Mapping[str, ColumnRule]) -> set[str]:
+    """Return columns that a rule reads another channel from and that the model does not name.
+
+    A log may call a column qpos.elbow_deg, of which the study says that it is qpos.elbow.
+    """
+    named = {r.source for r in rules.values() if r.source and not wrong_name(r.source)}
+    if not named - set(rules):
+        return set()
+    known = known_channels(load_model(study))
+    return {s for s in named - set(rules) if s not in known.get(kind_of(s), (s,))}
 
 
 def _named_apart(found: Sequence[tuple[Path, Recording]]) -> Iterator[Recording]:
