@@ -53,6 +53,22 @@ def traces() -> pd.DataFrame:
     )  # fmt: skip
 
 
+def test_a_page_of_many_channels_shows_all_instants_of_windows_and_says_the_whole_error() -> None:
+    """Of 16 channels every eighth row is drawn, and windows have eight."""
+    channels, error = [f"qpos.j{k}" for k in range(16)], np.tile(np.arange(8) / 100, 400)
+    time = np.arange(len(error)) / 100
+    one = pd.DataFrame({"time": EPOCH + time, "begin": EPOCH, "window": np.arange(3200) // 8})
+    one = one.assign(recorded=np.sin(time), nominal=np.sin(time) + error)
+    many = pd.concat([one.assign(channel=c) for c in channels], ignore_index=True)
+    figure = interactive.held_out(many, "qpos.j3", "rad")
+    drawn = {t.name: t for t in figure.data if t.yaxis == "y2"}
+    ((name, below),) = drawn.items()
+    assert f"off by {np.sqrt(np.mean(error**2)):.2g} rad rms" in name
+    shown = np.round(-100 * below.y[np.isfinite(below.y)]).astype(int)
+    assert len(shown) <= 400
+    assert set(shown) == set(range(8))
+
+
 @pytest.mark.parametrize("first", [-9.0, 0.0])
 def test_the_nominal_value_is_drawn_at_the_end_of_its_range_and_named(first: float) -> None:
     """Of a range from 0 a Sobol design has no 0, which is the nominal value of most friction."""

@@ -1,6 +1,7 @@
 """Figures of a diagnosis as Plotly objects, for the page and notebooks; they compute nothing."""
 
 from collections.abc import Mapping, Sequence
+from math import gcd
 
 import numpy as np
 import pandas as pd
@@ -46,15 +47,15 @@ def held_out(traces: pd.DataFrame, channel: str, unit: str = "rad", beside: int 
         beside: how many figures share the page's points; otherwise one a channel.
     """
     most = max(_POINTS // (beside or traces["channel"].nunique()), _LEAST_POINTS)
-    part = since_start(traces)
-    part = with_gaps(_thinned(part[part["channel"] == channel], most))
+    traces = since_start(traces)
+    whole = traces[traces["channel"] == channel]
+    part = with_gaps(_thinned(whole, most))
     figure = make_subplots(2, 1, shared_xaxes=True, row_heights=[0.62, 0.38], vertical_spacing=0.06)
     time, recorded = light(part["time"]), part["recorded"]
     line = {"color": GREY, "width": 5}
     figure.add_scatter(x=time, y=light(recorded), name="recorded", line=line, row=1, col=1)
     for model in (m for m in MODELS if m in part):
-        error = recorded - part[model]
-        off = rms(error)
+        error, off = recorded - part[model], rms(whole["recorded"] - whole[model])
         line = {"color": COLOURS[model], "width": 1.8, "dash": _DASHES.get(model, "solid")}
         words = f"off by {off:.2g} {unit} rms" if np.isfinite(off) else "no prediction"
         name = f"{MODELS[model]} ({words})".replace("  ", " ")
@@ -224,8 +225,14 @@ def _mesh(points: Float[np.ndarray, "P 3"], colour: str, opacity: float = 1.0) -
 
 
 def _thinned(part: pd.DataFrame, most: int) -> pd.DataFrame:
-    """Return every so many-th row, so that a page stays small."""
-    return part.iloc[:: max(-(-len(part) // most), 1)]
+    """Return every so many-th row, so that a page stays small.
+
+    They are not the same instants of each window, of which the first ones are predicted best.
+    """
+    each, instants = max(-(-len(part) // most), 1), int(part.groupby("window").size().max())
+    while gcd(each, instants) > 1:
+        each += 1
+    return part.iloc[::each]
 
 
 def _range(recorded: pd.Series) -> list[float]:
