@@ -27,7 +27,8 @@ import pandas as pd
 
 from bo_sysid.proof.conceal import conceal, suite_record
 from bo_sysid.proof.proof import prove
-from bo_sysid.proof.statistics import clopper_pearson, reliability
+from bo_sysid.proof.score import Scores
+from bo_sysid.proof.statistics import clopper_pearson
 from bo_sysid.runs import Run
 
 # %%
@@ -65,14 +66,14 @@ cases[shown].head(8)
 # ## Right, cannot tell, wrong
 #
 # A case is right where names and sites are those that were concealed, members of one equivalence
-# class counted as one. Where nothing is concealed, saying so is right.
+# class counted as one. Where nothing is concealed, saying so is right. No answer is never right.
 
 # %%
 rows = []
 for tier, part in cases.groupby("tier"):
     for label, some in (("missing", part[part["missing"]]), ("nothing", part[~part["missing"]])):
         if len(some):
-            good = some["right"] if label == "missing" else ~some["detected"]
+            good = some["right"]
             low, high = clopper_pearson(int(good.sum()), len(good))
             rows.append((f"tier {tier}, {label}", len(good), good.mean(), low, high))
 rates = pd.DataFrame(rows, columns=["cases", "n", "right", "low", "high"])
@@ -88,15 +89,17 @@ axis.set_ylim(len(rates) - 0.5, -0.5)
 # ## Does the size decide?
 #
 # Sizes are in sensor sigmas that an effect leaves in a window after everything else was refitted.
-# What is below two cannot be told from the noise, and is not asked for.
+# What is below two cannot be told from the noise, and is not asked for. What the catalogue does not
+# have is left out, since no name is right for it.
 
 # %%
+nameable = effects[effects["known"]]
 figure, axis = plt.subplots(figsize=(6, 3))
-for k, (_, part) in enumerate(effects.groupby("effect")):
+for k, (_, part) in enumerate(nameable.groupby("effect")):
     found = part["found"].to_numpy(bool)
     axis.plot(part["size"][found], np.full(found.sum(), k), "o", color="tab:blue")
     axis.plot(part["size"][~found], np.full((~found).sum(), k), "x", color="tab:red")
-axis.set_yticks(range(effects["effect"].nunique()), sorted(effects["effect"].unique()))
+axis.set_yticks(range(nameable["effect"].nunique()), sorted(nameable["effect"].unique()))
 axis.set(xscale="log", xlabel="size [sensor sigma]", title="found (o) and not found (x)")
 axis.axvline(2, color="k", linestyle=":", linewidth=1)
 
@@ -118,13 +121,13 @@ pd.DataFrame(
 # %% [markdown]
 # ## Are the probabilities true, and do the repaired models predict?
 #
-# Left: stated probability against how often it was right. Right: error of forecasts on recordings
-# that no diagnosis saw, over the noise floor; the oracle knows what was concealed.
+# Left: stated probability against how often it was right, of all answers that state one. Right:
+# error of forecasts on recordings that no diagnosis saw, over the noise floor; the oracle knows
+# what was concealed.
 
 # %%
 figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.4))
-answered = cases[cases["answered"] & (cases["known"] | ~cases["missing"])]
-told = reliability(answered["probability"].to_numpy(float), answered["right"].to_numpy(bool))
+told = Scores.of(cases, effects).calibration
 left.plot([0, 1], [0, 1], "k--", linewidth=1)
 left.plot(told.bins["stated"], told.bins["right"], "o-")
 left.set(xlabel="stated probability", ylabel="share that is right", xlim=(0, 1.05), ylim=(0, 1.05))

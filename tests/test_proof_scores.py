@@ -1,5 +1,7 @@
 """Marks of single answers, rates with their intervals, calibration, tables and the page."""
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -327,6 +329,24 @@ def test_scores_of_a_run():
     assert scores.magnitudes.loc["dry_friction", "n"] == 1
     assert scores.forecasts.loc["tier 2", "repaired"] == 1.1
     assert scores.calibration.cases == 5
+
+
+def test_the_notebook_counts_a_run_as_its_scores_do(tmp_path):
+    """One answer gives unknown physics a confident name, one diagnosis failed."""
+    pytest.importorskip("matplotlib").use("agg")
+    magnet = concealed("magnet", "elbow", known=False)
+    named = Revealed("x", truth(magnet, tier=4), answer(finding("armature", "elbow")), None, 1, {})
+    scores = score([*revealed(), named])
+    scores.cases.to_parquet(tmp_path / "cases.parquet")
+    scores.effects.to_parquet(tmp_path / "effects.parquet")
+    text = (Path(__file__).parents[1] / "notebooks" / "concealed_proof.py").read_text()
+    shown = {}
+    exec(text.replace("RUN = None", f"RUN = {str(tmp_path)!r}", 1), shown)  # noqa: S102 - ours
+    assert shown["told"].cases == scores.calibration.cases == 6
+    assert shown["told"].error == scores.calibration.error
+    rates = shown["rates"].set_index("cases")["right"]
+    assert rates["tier 3, nothing"] == 0.5  # one of two failed
+    assert set(shown["nameable"]["effect"]) == {"dry_friction"}
 
 
 def test_a_rate_has_a_key_of_its_own_and_its_words_are_for_the_page():
