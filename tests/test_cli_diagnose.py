@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import sys
 from pathlib import Path
 
 import pandas as pd
@@ -110,6 +111,26 @@ def test_a_finished_diagnosis_is_told_again(
     assert "The hinge has dry friction of 0.08" in out
     assert main(["diagnose", "pendulum.yaml", "--out", "again", "--strict"]) != 0
     assert "computed again" in capsys.readouterr().err
+
+
+def test_a_new_diagnosis_that_is_killed_leaves_no_proof_of_the_old_one(
+    diagnosed: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The model and the answer in the folder are those of the new one by then."""
+    monkeypatch.chdir(diagnosed)
+    shutil.copytree("run", "stopped")
+
+    def killed(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sys.modules["bo_sysid.diagnosis.diagnose"], "load_holdout", killed)
+    assert main(["diagnose", "pendulum.yaml", "--out", "stopped", "--strict"]) == 130
+    capsys.readouterr()
+    assert main(["report", "stopped", "--text"]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("stopped: diagnose, interrupted")
+    assert "The unseen recordings were not compared yet." in out
+    assert "Forecast error" not in out
 
 
 def test_wrong_input_gives_one_message(

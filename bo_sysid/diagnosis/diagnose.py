@@ -26,6 +26,12 @@ from bo_sysid.runs import Run
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_holdout, load_train, made_from, require_holdout
 
+_PROVED = (
+    "diagnosis.json", "holdout.parquet", "sessions.parquet", "traces.parquet", "forces.parquet",
+    "sets.parquet", "pose.json", "summary.json",
+)  # fmt: skip
+"""What is written of a diagnosis once it was proved on the hold-out."""
+
 _CHECK = "`bo-sysid check` says more; a wrong sign or unit is no missing physics."
 
 
@@ -139,6 +145,8 @@ def _repair(study: Study, run: Run | None, frozen: Frozen) -> tuple[str, ...]:
     """Write the repaired model and the answer; return notes on what the model cannot say."""
     if run is None:
         return ()
+    for name in _PROVED:  # that of an earlier diagnosis in the same folder is of another model
+        run.path(name).unlink(missing_ok=True)
     evidence, outcome, answer = frozen.evidence, frozen.outcome, frozen.answer
     folder = Path(run.path(MODEL)).parent
     written = write_model(
