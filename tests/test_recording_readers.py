@@ -4,7 +4,7 @@ import gzip
 import json
 import subprocess
 import sys
-from datetime import datetime
+from datetime import UTC, datetime
 
 import h5py
 import numpy as np
@@ -615,3 +615,38 @@ def test_what_init_left_open_is_to_be_filled_in(tmp_path):
     np.savez(tmp_path / "log.npz", time=np.arange(3.0), enc=np.arange(3.0))
     with pytest.raises(RecordingError, match=r"qpos.a: fill in the column .* there are time, enc"):
         read_recording(tmp_path / "log.npz", {"qpos.a": {"from": "FILL IN"}})
+
+
+@pytest.mark.parametrize("ending", [".json", ".parquet", ".csv"])
+def test_dates_that_are_text_are_time_stamps_in_every_format(ending, tmp_path):
+    """As loggers write them in JSON, and Python's in its own way, with a comma."""
+    sent = [f"2024-03-31T03:59:50{',' if ending == '.csv' else '.'}{k:02d}0" for k in range(50)]
+    stamped = [t if ending == ".csv" else f"{t}+02:00" for t in sent]
+    q, path = np.sin(np.arange(50) / 20).tolist(), tmp_path / f"log{ending}"
+    if ending == ".json":
+        path.write_bytes(
+            b"\xef\xbb\xbf"  # a mark of UTF-8 that programs of Windows begin with
+            + json.dumps(
+                [{"time": t, "qpos.a": x} for t, x in zip(stamped, q, strict=True)]
+            ).encode()
+        )
+    elif ending == ".parquet":
+        pq.write_table(pa.table({"time": stamped, "qpos.a": q}), path)
+    else:
+        rows = [f"{t};{x}".replace(".", ",") for t, x in zip(stamped, q, strict=True)]
+        path.write_text("\n".join(["time;qpos.a", *rows]))
+    recording = read_recording(path)
+    hour = 3 if ending == ".csv" else 1
+    begin = datetime(2024, 3, 31, hour, 59, 50, tzinfo=UTC).timestamp()
+    np.testing.assert_allclose(
+        recording.channels["qpos.a"].time, begin + np.arange(50) / 100, rtol=0, atol=1e-6
+    )
+    np.testing.assert_allclose(recording.channels["qpos.a"].values, q)
+    assert "Dates in column 'time' converted to seconds since 1970." in recording.notes
+
+
+def test_text_that_is_no_date_stays_text(tmp_path):
+    rows = [{"time": f"2024-02-{30 + k}T00:00:00Z", "qpos.a": k} for k in range(2)]
+    (tmp_path / "log.json").write_text(json.dumps(rows))
+    with pytest.raises(RecordingError, match=r"'time', row 0: '2024-02-30T00:00:00Z' is not a num"):
+        read_recording(tmp_path / "log.json")

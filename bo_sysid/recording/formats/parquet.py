@@ -10,6 +10,7 @@ import numpy as np
 
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording.formats.registry import reader, require_content
+from bo_sysid.recording.numbers import dated
 from bo_sysid.recording.table import RawTable
 from bo_sysid.recording.value import Hold
 
@@ -58,8 +59,8 @@ def _own(metadata: Mapping[bytes, bytes], path: Path) -> dict[str, Any]:
 def arrow_columns(table: Any) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
     """Return the columns of a `pyarrow.Table` by name, and sentences about those left out.
 
-    Null becomes NaN, dates become UTC. Vectors of one length become columns with an index; those
-    of several lengths are left out.
+    Null becomes NaN, dates become UTC, also where they are text. Vectors of one length become
+    columns with an index; those of several lengths are left out.
     """
     import pyarrow as pa
 
@@ -71,7 +72,7 @@ def arrow_columns(table: Any) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
             column = column.cast(pa.timestamp(column.type.unit))  # without its zone
         values = column.to_pandas().to_numpy()
         if not _lists(column.type):
-            columns[name] = values
+            columns[name] = dated(values)
             continue
         sizes = sorted({len(v) for v in values if v is not None})
         if len(sizes) > 1:

@@ -8,6 +8,7 @@ import numpy as np
 
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording.formats.registry import reader
+from bo_sysid.recording.numbers import dated
 from bo_sysid.recording.table import RawTable
 
 
@@ -23,7 +24,7 @@ def read_json(path: Path) -> RawTable:
         RecordingError: it is no JSON, holds neither, or a record is none.
     """
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = json.loads(path.read_text(encoding="utf-8-sig"))
     except (ValueError, UnicodeDecodeError) as error:
         raise RecordingError(f"{path}: not JSON as its ending says: {error}") from None
     except RecursionError:
@@ -77,10 +78,10 @@ def _columns(name: str, cells: list[Any]) -> dict[str, np.ndarray]:
 
 
 def _column(cells: list[Any]) -> np.ndarray:
-    """Return numbers where all cells are numbers (or missing), else the cells as they are."""
+    """Return numbers or dates where all cells are (or missing), else the cells as they are."""
     if all(c is None or isinstance(c, bool | int | float) for c in cells):
         return np.array([np.nan if c is None else _number(c) for c in cells])
-    return np.array(cells, dtype=object)
+    return dated(np.array(cells, dtype=object))
 
 
 def _number(cell: bool | int | float) -> float:
