@@ -23,6 +23,9 @@ from bo_sysid.recording import Recording
         (True, 60.0, 20.0, "falls from 60 to 20 sensor sigmas"),
         (False, 60.0, 20.0, "falls from 60 to 20 sensor sigmas"),
         (True, 20.0, 20.0, "goes from 20 to 20 sensor sigmas"),
+        (True, 5.0, 6.0, "goes from 5 (20 with the study's parameters fitted) to 6 sensor"),
+        (True, 5.0, 20.0, "goes from 5 to 20 sensor sigmas"),
+        (True, 5.0, 1.1, "falls from 5 (20 with the study's parameters fitted) to 1.1 sensor"),
     ],
 )
 def test_what_parameters_and_the_time_step_do_is_said(parameters, nominal, after, words) -> None:
@@ -33,6 +36,8 @@ def test_what_parameters_and_the_time_step_do_is_said(parameters, nominal, after
     ]
     told = Holdout(pd.DataFrame(rows), {}, pd.DataFrame(), parameters=parameters)
     assert words in told.sentences[0]
+    worse = after > 1.1 * nominal  # than the model was, whatever the study's parameters did to it
+    assert (told.sentences[1:] == ("The unseen recording does not confirm the repair.",)) == worse
 
 
 @pytest.mark.parametrize(

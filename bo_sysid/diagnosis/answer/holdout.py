@@ -57,9 +57,8 @@ class Holdout:
         if before is None or after is None or floor is None:
             return (self.note,) if self.note else ()
         nominal = self.error("forecast", AHEAD, "nominal") or before
-        refitted = nominal > (1 + _ALIKE) * before  # parameters or the time step do some of it
-        reference = before if before > (1 + _ALIKE) * nominal else nominal
-        verb, first = "falls" if after < (1 - _ALIKE) * reference else "goes", _figure(reference)
+        refitted = abs(nominal - before) > _ALIKE * before  # by parameters or the time step
+        verb, first = "falls" if after < (1 - _ALIKE) * nominal else "goes", _figure(nominal)
         if refitted and after != before:
             done = "the study's parameters fitted" if self.parameters else "a finer time step"
             first += f" ({_figure(before)} with {done})"
@@ -69,7 +68,7 @@ class Holdout:
         )
         if after > _AT_FLOOR * floor and self.rates:
             conclusion = f"{self.rates} What is left may be that: record both at one rate."
-        elif after > max((1 + _ALIKE) * before, _AT_FLOOR * floor):
+        elif after > max((1 + _ALIKE) * min(before, nominal), _AT_FLOOR * floor):
             conclusion = "The unseen recording does not confirm the repair."
         elif after > _AT_FLOOR * floor:
             conclusion = (
