@@ -149,6 +149,22 @@ def test_only_model_and_recordings_are_required(folder: Path) -> None:
         Study.from_dict({})
 
 
+def test_a_section_that_was_emptied_is_as_if_left_out(folder: Path) -> None:
+    """As `init` asks for: remove from the parameters what the diagnosis is to look for."""
+    train = "model: models/arm.xml\nrecordings:\n  train: [data/arm-1.parquet]\n"
+    (folder / "plain.yaml").write_text(f"{train}name: a\n")
+    emptied = "  columns:\n  holdout:\nparameters:\nlimits:\nsearch: {budget: }\nname: a\n"
+    (folder / "emptied.yaml").write_text(train + emptied)
+    emptied_study, plain = (Study.load(folder / f"{n}.yaml") for n in ("emptied", "plain"))
+    assert emptied_study.resolved() == plain.resolved()
+    (folder / "emptied.yaml").write_text(f"{train}parameterz:\n")
+    with pytest.raises(StudyError, match="line 4: parameterz: unknown key; did you mean 'paramete"):
+        Study.load(folder / "emptied.yaml")
+    (folder / "emptied.yaml").write_text("model:\nrecordings:\n")
+    with pytest.raises(StudyError, match="line 1: model: this key is required"):
+        Study.load(folder / "emptied.yaml")
+
+
 def test_a_study_cannot_be_changed(folder: Path) -> None:
     with pytest.raises(ValueError, match="frozen"):
         minimal(folder).name = "other"

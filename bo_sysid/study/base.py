@@ -2,15 +2,23 @@
 
 import glob
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    model_validator,
+)
 
 
 class Section(BaseModel):
-    """A frozen part of a study; an unknown key is an error.
+    """A frozen part of a study; an unknown key is an error, one with nothing behind it left out.
 
     The docstring of a field is its description in the JSON Schema.
     """
@@ -24,6 +32,15 @@ class Section(BaseModel):
         validate_by_name=True,
         serialize_by_alias=True,
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_empty(cls, data: Any) -> Any:
+        """Leave out known keys without a value, as of a list whose entries were all removed."""
+        if not isinstance(data, Mapping):
+            return data
+        known = {name for n, f in cls.model_fields.items() for name in (n, f.alias)}
+        return {k: v for k, v in data.items() if v is not None or k not in known}
 
 
 @dataclass(frozen=True)
