@@ -650,3 +650,15 @@ def test_text_that_is_no_date_stays_text(tmp_path):
     (tmp_path / "log.json").write_text(json.dumps(rows))
     with pytest.raises(RecordingError, match=r"'time', row 0: '2024-02-30T00:00:00Z' is not a num"):
         read_recording(tmp_path / "log.json")
+
+
+@pytest.mark.parametrize("cell", ["NA", "#N/A", "n/a", "-nan(ind)", "1.#QNAN", "<NA>", "None", ""])
+def test_what_programs_write_for_no_value_is_an_empty_cell(cell, tmp_path):
+    rows = [f"{k / 100},{k % 7}" for k in range(50)]
+    rows[20] = f"0.2,{cell}"
+    (tmp_path / "log.csv").write_text("\n".join(["time,qpos.a", *rows]))
+    with pytest.raises(RecordingError, match=r"row 20 is empty .*say `missing: skip`"):
+        read_recording(tmp_path / "log.csv")
+    recording = read_recording(tmp_path / "log.csv", {"qpos.a": {"missing": "skip"}})
+    expected = [k % 7 for k in range(50) if k != 20]
+    np.testing.assert_array_equal(recording.channels["qpos.a"].values, expected)

@@ -24,6 +24,10 @@ _UTF16 = (b"\xff\xfe", b"\xfe\xff")  # the first bytes of what Excel calls Unico
 _MOST = 2**31 - 1  # bytes that are parsed at once
 _TRAILING = ""  # name of the empty column after a separator at the end of each line
 _INDEX = "index"  # name of a first column that has none
+_EMPTY = (  # what stands in cells without a value: of R, Excel, pandas and C on Windows
+    "", "nan", "NaN", "NAN", "-nan", "-NaN", "nan(ind)", "-nan(ind)", "1.#QNAN", "-1.#QNAN",
+    "1.#IND", "-1.#IND", "NA", "N/A", "n/a", "#N/A", "<NA>", "null", "NULL", "None",
+)  # fmt: skip
 
 
 @reader(".csv", ".csv.gz", ".tsv", ".txt")
@@ -58,9 +62,7 @@ def read_csv(path: Path) -> RawTable:
             # one block: the type of a column is that of all its cells, not of the first ones
             arrow_csv.ReadOptions(column_names=names, use_threads=False, block_size=len(data) + 1),
             arrow_csv.ParseOptions(delimiter=separator),
-            arrow_csv.ConvertOptions(
-                null_values=["", "nan", "NaN", "NAN", "null", "NULL"], strings_can_be_null=True
-            ),
+            arrow_csv.ConvertOptions(null_values=_EMPTY, strings_can_be_null=True),
         )
     except pa.ArrowInvalid as error:
         found = re.search(r"Row #(\d+): (.*)", str(error), re.DOTALL)
