@@ -662,3 +662,20 @@ def test_what_programs_write_for_no_value_is_an_empty_cell(cell, tmp_path):
     recording = read_recording(tmp_path / "log.csv", {"qpos.a": {"missing": "skip"}})
     expected = [k % 7 for k in range(50) if k != 20]
     np.testing.assert_array_equal(recording.channels["qpos.a"].values, expected)
+
+
+def test_a_last_line_that_breaks_off_is_left_out_and_no_other(tmp_path):
+    """A logger was killed while it wrote."""
+    rows = [f"{k / 100},{k % 7},{k}" for k in range(50)]
+    text = "\n".join(["time,qpos.a,ctrl.m", *rows])
+    (tmp_path / "log.csv").write_text(text.removesuffix(",49"))
+    recording = read_recording(tmp_path / "log.csv")
+    np.testing.assert_array_equal(recording.channels["qpos.a"].time, np.arange(49) / 100)
+    assert "The last line breaks off after 2 of 3 cells and was left out." in recording.notes
+    for broken in (text.replace("0.2,6,20", "0.2,6"), text.removesuffix(",49") + "\n"):
+        (tmp_path / "log.csv").write_text(broken)
+        with pytest.raises(RecordingError, match=r"row (20|49): Expected 3 columns, got 2"):
+            read_recording(tmp_path / "log.csv")
+    (tmp_path / "log.csv").write_text("time,qpos.a\n0.1")
+    with pytest.raises(RecordingError, match="names its columns but holds no samples"):
+        read_recording(tmp_path / "log.csv")

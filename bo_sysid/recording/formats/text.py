@@ -6,6 +6,7 @@ import re
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -38,7 +39,8 @@ def read_csv(path: Path) -> RawTable:
     12:00:00.02 are durations.
     Blank lines and lines that start with ``#`` may stand before the header; the header itself may
     start with ``#``, as `numpy.savetxt` writes it. Before all may stand Excel's ``sep=;``, and
-    below the header a line of units.
+    below the header a line of units. A last line that breaks off, as that of a logger that was
+    killed does, is left out.
     """
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
@@ -50,9 +52,10 @@ def read_csv(path: Path) -> RawTable:
     except csv.Error as error:
         raise RecordingError(f"{path}: the header is no list of names: {error}") from None
     if not body.strip():
-        raise RecordingError(f"{path}: the file names its columns but holds no samples")
+        raise _no_samples(path)
     if separator == " ":  # any run of blanks
         body = "\n".join(" ".join(line.split()) for line in body.split("\n"))
+    last = _LastLine(body)
     data = body.encode()
     if len(data) >= _MOST:
         raise RecordingError(f"{path}: more than 2 GiB of text; write it as Parquet")
@@ -61,19 +64,21 @@ def read_csv(path: Path) -> RawTable:
             pa.BufferReader(data),
             # one block: the type of a column is that of all its cells, not of the first ones
             arrow_csv.ReadOptions(column_names=names, use_threads=False, block_size=len(data) + 1),
-            arrow_csv.ParseOptions(delimiter=separator),
+            arrow_csv.ParseOptions(delimiter=separator, invalid_row_handler=last.judged),
             arrow_csv.ConvertOptions(null_values=_EMPTY, strings_can_be_null=True),
         )
     except pa.ArrowInvalid as error:
         found = re.search(r"Row #(\d+): (.*)", str(error), re.DOTALL)
         what = f"row {int(found[1]) - 1}: {found[2]}" if found else str(error)
         raise RecordingError(f"{path}: not a table of {len(names)} columns: {what}") from None
+    if not table.num_rows:
+        raise _no_samples(path)
     columns, _ = arrow_columns(table)
     if not pd.isna(columns.pop(_TRAILING, np.empty(0))).all():
         raise RecordingError(f"{path}: the last column has values but no name in the first line")
     pointed = separator == "," or any(map(pa.types.is_floating, table.schema.types))
     commas = {} if pointed else _decimal_commas(columns)
-    notes = [note] if note else []
+    notes = [*filter(None, (note, last.note))]
     if units:
         notes.append("Units were read from the line below the header.")
     if commas:
@@ -81,6 +86,33 @@ def read_csv(path: Path) -> RawTable:
     daily = _times_of_day(columns)
     columns |= commas | daily
     return RawTable(str(path), columns, units=units, notes=tuple(notes))
+
+
+def _no_samples(path: Path) -> RecordingError:
+    return RecordingError(f"{path}: the file names its columns but holds no samples")
+
+
+class _LastLine:
+    """The last line of a text that ends without one, which may break off.
+
+    Attributes:
+        note: that it was left out; empty where it was not.
+    """
+
+    def __init__(self, body: str) -> None:
+        self._text = body.rpartition("\n")[2]
+        self.note = ""
+
+    def judged(self, row: Any) -> str:  # row: pyarrow.csv.InvalidRow
+        """Return what is done about a line with another number of cells: "skip" or "error"."""
+        whole = row.actual_columns >= row.expected_columns
+        if self.note or whole or row.text != self._text:
+            return "error"
+        self.note = (
+            f"The last line breaks off after {row.actual_columns} of {row.expected_columns} cells "
+            "and was left out."
+        )
+        return "skip"
 
 
 def _times_of_day(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
