@@ -327,7 +327,9 @@ def test_a_flat_belief_over_a_grid_looks_flat(count: int, bars: int) -> None:
     for trace in interactive_search.marginal(belief, "mass", "kg", 0.5).data:
         assert trace.y == pytest.approx([1 / bars] * bars)
         assert trace.x == pytest.approx((edges[:-1] + edges[1:]) / 2)
-    (both,) = interactive_search.pair(belief, "mass", "arm").data
+    figure = interactive_search.pair(belief, "mass", "arm", {"mass": "kg", "arm": "m"})
+    (both,), axes = figure.data, (figure.layout.yaxis, figure.layout.xaxis)
+    assert [axis.title.text for axis in axes] == ["mass [kg]", "arm [m]"]
     assert both.z == pytest.approx(np.eye(bars) / bars)
 
 

@@ -1,5 +1,7 @@
 """Figures of a search and of learning as Plotly objects, for the page and for notebooks."""
 
+from collections.abc import Mapping
+
 import numpy as np
 import pandas as pd
 import plotly.graph_objects as go
@@ -41,8 +43,15 @@ def marginal(belief: pd.DataFrame, parameter: str, unit: str, nominal: float) ->
     return dressed(figure, 320)
 
 
-def pair(belief: pd.DataFrame, first: str, second: str) -> go.Figure:
-    """Return P_boot over two parameters, all others summed over."""
+def pair(belief: pd.DataFrame, first: str, second: str, units: Mapping[str, str]) -> go.Figure:
+    """Return P_boot over two parameters, all others summed over.
+
+    Args:
+        belief: one row a candidate: the parameters and P_boot.
+        first: parameter on the vertical axis.
+        second: the one on the horizontal axis.
+        units: of the parameters, by name.
+    """
     one, other, weight = (belief[n].to_numpy(float) for n in (first, second, "P_boot"))
     across, up = bin_edges(other), bin_edges(one)
     mass = np.histogram2d(one, other, (up, across), weights=weight)[0]
@@ -52,8 +61,8 @@ def pair(belief: pd.DataFrame, first: str, second: str) -> go.Figure:
         z=mass.astype(np.float32), colorscale="Cividis", colorbar={"title": "P_boot"},
     )  # fmt: skip
     figure.update_layout(showlegend=False)
-    figure.update_xaxes(title=escaped(second))
-    figure.update_yaxes(title=escaped(first))
+    figure.update_xaxes(title=escaped(second + in_unit(units[second])))
+    figure.update_yaxes(title=escaped(first + in_unit(units[first])))
     return dressed(figure, 360)
 
 

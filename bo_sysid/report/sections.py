@@ -180,12 +180,12 @@ def parameters(found: Found) -> Section | None:
         )
         for p in made["parameters"]
     }
-    names = [str(n) for n in table["name"]]
+    units = {str(p["name"]): str(p["unit"]) for p in made["parameters"]}
     plots = [Plot("Probability of each value of a parameter. P goes to a point as the search goes "
                   "on; P_boot says how sure these recordings are.", ones, "parameter")]  # fmt: skip
-    pairs = list(itertools.combinations(names, 2))[:_PAIRS]
+    pairs = list(itertools.combinations(units, 2))[:_PAIRS]
     if pairs:
-        figures = {f"{a}, {b}": interactive_search.pair(belief, a, b) for a, b in pairs}
+        figures = {f"{a}, {b}": interactive_search.pair(belief, a, b, units) for a, b in pairs}
         plots.append(Plot("P_boot over two parameters.", figures, "pair"))
     tables = [
         ("Parameters, with 95 % intervals from P_boot", Table.of(table)),
