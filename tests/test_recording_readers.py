@@ -679,3 +679,15 @@ def test_a_last_line_that_breaks_off_is_left_out_and_no_other(tmp_path):
     (tmp_path / "log.csv").write_text("time,qpos.a\n0.1")
     with pytest.raises(RecordingError, match="names its columns but holds no samples"):
         read_recording(tmp_path / "log.csv")
+
+
+def test_pictures_in_an_hdf5_file_are_not_loaded(tmp_path):
+    """Of a terabyte; an array with axes of length one is no picture."""
+    path = tmp_path / "log.h5"
+    save_hdf5(path)
+    with h5py.File(path, "a") as file:
+        file.create_dataset("camera/top", (10**6, 1000, 1000), np.uint8, chunks=(1, 1000, 1000))
+        file["state"] = np.stack([COLUMNS["qpos.a"]] * 2, axis=1)[:, None]
+    recording = read_recording(path, {"qpos.c": "state.1"})
+    np.testing.assert_array_equal(recording.channels["qpos.c"].values, COLUMNS["qpos.a"])
+    assert "Array 'camera.top' has 3 dimensions and was not read." in recording.notes

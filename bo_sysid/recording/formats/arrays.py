@@ -83,8 +83,13 @@ def split(
             columns |= parts
             known |= dict.fromkeys(parts, units[name]) if name in units else {}
         else:
-            notes.append(f"Array {name!r} has {array.ndim} dimensions and was not read.")
+            notes.append(not_read(name, array.ndim))
     return RawTable(source, columns, units=known, notes=tuple(notes))
+
+
+def not_read(name: str, dimensions: int) -> str:
+    """Return that an array has too many dimensions to be the samples of a machine."""
+    return f"Array {name!r} has {dimensions} dimensions and was not read."
 
 
 def _along_time(matrix: np.ndarray, lengths: Collection[int]) -> np.ndarray:
