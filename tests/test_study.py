@@ -723,6 +723,26 @@ def test_a_column_called_like_another_joint_is_read_as_the_study_says(tmp_path: 
     assert recording.channels["qpos.elbow"].values.max() == pytest.approx(np.radians(6))
 
 
+def test_a_joint_of_the_log_that_the_model_lacks_can_be_left_out_as_is_said(tmp_path: Path) -> None:
+    lines = ["time,qpos.shoulder,qpos.elbow,qpos.hand", *(f"{k / 100},{k},1,{k}" for k in range(9))]
+    (tmp_path / "log.csv").write_text("\n".join(lines))
+    (tmp_path / "arm.xml").write_text(ARM)
+
+    def reading(columns: dict[str, object]) -> None:
+        recordings = {"train": ["log.csv"], "holdout": ["log.csv"], "columns": columns}
+        study = Study.from_dict({"model": "arm.xml", "recordings": recordings}, tmp_path)
+        (recording,) = load_train(study)
+        require_known(load_model(study), recording)
+
+    with pytest.raises(RecordingError, match=r"'qpos\.hand' is not in the model") as caught:
+        reading({})
+    advice = str(caught.value).partition("recordings: columns: ")[2]
+    assert advice == "{aux.hand: {from: qpos.hand}}"
+    reading(yaml.safe_load(advice))
+    with pytest.raises(RecordingError, match=r"'qpos\.elbw' is not .* or 'qpos.shoulder'\?$"):
+        reading({"qpos.elbw": {"from": "qpos.elbow"}})
+
+
 @pytest.mark.parametrize(("unit", "apply"), [("deg", "set"), ("rad", None), ("deg", "scale")])
 def test_bounds_in_another_unit_than_the_models_are_refused(
     folder: Path, unit: str, apply: str | None

@@ -38,11 +38,25 @@ def require_known(model: Model, recording: Recording) -> None:
     for name in recording.channels:
         kind = kind_of(name)
         if kind in known and name not in known[kind]:
+            near = nearest(name, known[kind]) or f"it has no {kind} at all"
+            advice = _to_leave_out(recording, name)
+            end = "." if advice and not near.endswith("?") else ""
             raise RecordingError(
-                f"{recording.name}: channel {name!r} is not in the model {model.source}; "
-                f"{nearest(name, known[kind]) or f'it has no {kind} at all'}"
+                f"{recording.name}: channel {name!r} is not in the model {model.source}; {near}"
+                f"{end}{advice}"
             )
     _require_own_columns(model, recording)
+
+
+def _to_leave_out(recording: Recording, name: str) -> str:
+    """Return how to leave out a column that a log itself calls like a channel; else nothing."""
+    if not recording.channels[name].source.endswith(f": {name}"):
+        return ""
+    element = name.partition(".")[2]
+    return (
+        f" If the model has no need of that column: recordings: columns: {{aux.{element}: "
+        f"{{from: {name}}}}}"
+    )
 
 
 def _require_own_columns(model: Model, recording: Recording) -> None:
