@@ -33,6 +33,7 @@ from bo_sysid.study.inputs import (
 from bo_sysid.study.overview import overview
 from bo_sysid.study.requirements import require_known, require_limits, require_scales
 from bo_sysid.study.sections import Clock, Column
+from bo_sysid.yaml_text import Loader, dumped
 
 STUDIES = [
     path
@@ -800,3 +801,14 @@ def test_recordings_that_are_called_alike_have_the_names_of_their_folders(tmp_pa
         r.name for r in inputs.read_files(study, sorted(tmp_path.glob("*/*.csv")), False)
     )
     assert names == ["monday", "monday/log", "tuesday", "tuesday/log"]
+
+
+@pytest.mark.parametrize("name", ["5e10", "2e3", "-1E5", ".5e-3", "1e", "e5", "1e5x", "12", "yes"])
+def test_a_name_that_reads_as_a_number_is_written_as_the_text_that_it_is(
+    folder: Path, name: str
+) -> None:
+    resolved = load(folder).resolved() | {"name": name}
+    (folder / "again.yaml").write_text(dumped(resolved))
+    assert Study.load(folder / "again.yaml", trust_code=True).name == name
+    kept = {name: [1e-5, 1e5, 123456789.0, True, None, name]}
+    assert Loader(dumped(kept, flow=True)).get_single_data() == kept

@@ -9,6 +9,7 @@ from bo_sysid.checks.hypothesis import Wire
 from bo_sysid.checks.wraps import Wrap
 from bo_sysid.recording.columns import ClockRule, ColumnRule
 from bo_sysid.recording.units import is_unit, unit
+from bo_sysid.yaml_text import dumped
 
 Rule = dict[str, Any]
 _KEPT = ("unit", "signed", "hold", "clock", "missing")
@@ -114,13 +115,7 @@ def as_yaml(columns: Mapping[str, Rule], clocks: Mapping[str, Rule]) -> str:
 
 def flow(rule: Mapping[str, Any]) -> str:
     """Return a rule on one line of YAML."""
-    import yaml
-
-    return str(
-        yaml.safe_dump(
-            dict(rule), default_flow_style=True, sort_keys=False, width=1000, allow_unicode=True
-        )
-    ).strip()
+    return dumped(rule, flow=True).strip()
 
 
 def _sum(theirs: float, found: float, digits: int) -> float:

@@ -3,8 +3,6 @@
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import yaml
-
 from bo_sysid.execution import OnProgress, Progress, silent
 from bo_sysid.plants.build import build_plant, driven_within, record
 from bo_sysid.plants.limits import limit_edits, require_ranges
@@ -15,6 +13,7 @@ from bo_sysid.recording.writers import write_recording
 from bo_sysid.runs import Run, versions
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import fingerprints, load_model
+from bo_sysid.yaml_text import dumped
 
 _MADE_OF = "recorded.json"
 """What the recordings of a run were made of: hashes of files, versions."""
@@ -76,7 +75,7 @@ def record_into(
         "noise": recorded["recordings"].get("noise", {}),
     }
     file = "study_recorded.yaml" if name.lower() == "study" else f"{name}.yaml"
-    path = run.write_text(file, yaml.safe_dump(recorded, sort_keys=False))
+    path = run.write_text(file, dumped(recorded))
     return path, tuple(_broken_off(run, names, wanted.seconds - plant.control_timestep))
 
 

@@ -33,6 +33,7 @@ from bo_sysid.proof.suite import LoadedSuite, load_suite
 from bo_sysid.recording.writers import write_recording
 from bo_sysid.runs import Run, atomic, digest, read_json, read_record, versions
 from bo_sysid.runs.files import UNFINISHED
+from bo_sysid.yaml_text import dumped
 
 COMMITMENTS, CASES = "commitments.json", "cases"
 
@@ -165,7 +166,7 @@ def write_case(case: Case, loaded: LoadedSuite, folder: Path) -> dict[str, str]:
             for p in case.parameters
         ]  # fmt: skip
     with atomic(folder / "study.yaml") as beside:
-        beside.write_text(yaml.safe_dump(study, sort_keys=False), encoding="utf-8")
+        beside.write_text(dumped(study), encoding="utf-8")
     return {f.relative_to(folder).as_posix(): file_digest(f) for f in _files(folder)}
 
 

@@ -61,7 +61,8 @@ def headline(found: Found) -> dict[str, Any]:
             made = read_json(found.folder, "comparison.json")
             sentences = conclusions(made, found.folder)
             return {"name": made["name"], "verdict": sentence(made), "sentences": sentences}
-    except (RunError, KeyError, TypeError, ValueError):  # the sections say what is damaged
+    except (RunError, AttributeError, LookupError, TypeError, ValueError):
+        # the sections say what is damaged
         verdict = "The result cannot be read: a file of the run is damaged."
     try:
         so_far = run_text(found.folder).splitlines()[1:]

@@ -10,8 +10,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, TYPE_CHECKING, Any, Literal
 
-import yaml
-
 from bo_sysid.errors import RunError, UserError, is_interrupt
 from bo_sysid.runs.files import (
     UNFINISHED,
@@ -26,6 +24,7 @@ from bo_sysid.runs.lock import NAME as LOCK
 from bo_sysid.runs.lock import locked
 from bo_sysid.runs.packages import PACKAGES, versions
 from bo_sysid.runs.record import FORMAT, RECORD, STUDY, existing
+from bo_sysid.yaml_text import dumped
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -88,7 +87,7 @@ class Run:
         folder.mkdir(parents=True, exist_ok=True)
         lock = locked(folder)
         try:
-            text = yaml.safe_dump(dict(study), sort_keys=False, allow_unicode=True)
+            text = dumped(study)
             record = existing(folder, study, text, command, raised)
             _remove_leftovers(folder)
             run = cls(folder, record or _new_record(study, command, seed), lock, created=created)

@@ -9,6 +9,7 @@ from typing import Any
 import yaml
 
 from bo_sysid.errors import StudyError, nearest
+from bo_sysid.yaml_text import Loader
 
 KeyPath = tuple[str | int, ...]
 
@@ -22,17 +23,6 @@ _SHORT: Mapping[tuple[str, ...], str] = {
     ("compare", "arms", "*"): "acquisition",
 }
 """Where a text may stand for a mapping, and which of its keys the text is."""
-
-
-class _Loader(yaml.SafeLoader):
-    """Reads YAML, numbers such as 1e5 among them, which YAML 1.1 takes for text."""
-
-
-_Loader.add_implicit_resolver(  # as the core schema of YAML 1.2 has it
-    "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$"),
-    list("-+.0123456789"),
-)
 
 
 @dataclass(frozen=True)
@@ -79,10 +69,10 @@ def read(path: Path, overrides: Mapping[str, Any]) -> Source:
     """
     text = _text(path)
     try:
-        node = yaml.compose(text, Loader=_Loader)
+        node = yaml.compose(text, Loader=Loader)
         if node is not None:
             _check_nodes(str(path), node, set(), ())
-        data = _Loader(text).get_single_data()
+        data = Loader(text).get_single_data()
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         line = f", line {mark.line + 1}" if mark else ""
@@ -146,10 +136,10 @@ def parse_override(text: str) -> tuple[str, Any]:
     if not equals or not key.strip():
         raise StudyError(f"--set {text}: must be key=value, as in --set search.budget=20")
     try:
-        node = yaml.compose(value, Loader=_Loader)
+        node = yaml.compose(value, Loader=Loader)
         if node is not None:
             _check_nodes(f"--set {text[:_SHOWN]}", node, set(), ())
-        return key.strip(), _Loader(value).get_single_data()
+        return key.strip(), Loader(value).get_single_data()
     except (yaml.YAMLError, ValueError, RecursionError):
         raise StudyError(f"--set {text[:_SHOWN]}: the value is not YAML") from None
 

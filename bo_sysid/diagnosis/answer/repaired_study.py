@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from bo_sysid.diagnosis.answer.findings import Finding
 from bo_sysid.diagnosis.answer.repaired import BESIDE, MODEL, Written
@@ -17,6 +16,7 @@ from bo_sysid.mjcf import Address, Model
 from bo_sysid.mjcf.address import resolve
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model
+from bo_sysid.yaml_text import dumped
 
 _ADDRESSES = {
     "dry_friction": {"": "joint[{site}].frictionloss"},
@@ -82,7 +82,7 @@ def study_text(
             if not _taken(model, data.get("parameters", ()), made):
                 data.setdefault("parameters", []).append(made)
         absent += [] if parameters else [_absent(f)]
-    return "".join(absent) + yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
+    return "".join(absent) + dumped(data)
 
 
 def _bristles(finding: Finding) -> bool:
