@@ -681,6 +681,16 @@ def test_a_last_line_that_breaks_off_is_left_out_and_no_other(tmp_path):
         read_recording(tmp_path / "log.csv")
 
 
+def test_a_quote_that_is_not_closed_takes_no_line_into_its_cell(tmp_path):
+    lines = ["time,qpos.a,note", *(f'{k / 100},{k},"fine"' for k in range(40))]
+    (tmp_path / "log.csv").write_text("\n".join([*lines, "", '0.5,7,"a ""b"""\n']))
+    assert len(read_recording(tmp_path / "log.csv").channels["qpos.a"].time) == 41
+    lines[30:32] = [line.removesuffix('"') for line in lines[30:32]]
+    (tmp_path / "log.csv").write_text("\n".join(lines))
+    with pytest.raises(RecordingError, match="row 30: a quote that is not closed"):
+        read_recording(tmp_path / "log.csv")
+
+
 def test_pictures_in_an_hdf5_file_are_not_loaded(tmp_path):
     """Of a terabyte; an array with axes of length one is no picture."""
     path = tmp_path / "log.h5"

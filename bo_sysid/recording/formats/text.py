@@ -73,6 +73,7 @@ def read_csv(path: Path) -> RawTable:
         raise RecordingError(f"{path}: not a table of {len(names)} columns: {what}") from None
     if not table.num_rows:
         raise _no_samples(path)
+    _require_closed_quotes(path, body, table.num_rows + bool(last.note))
     columns, _ = arrow_columns(table)
     if not pd.isna(columns.pop(_TRAILING, np.empty(0))).all():
         raise RecordingError(f"{path}: the last column has values but no name in the first line")
@@ -90,6 +91,19 @@ def read_csv(path: Path) -> RawTable:
 
 def _no_samples(path: Path) -> RecordingError:
     return RecordingError(f"{path}: the file names its columns but holds no samples")
+
+
+def _require_closed_quotes(path: Path, body: str, rows: int) -> None:
+    """Raise where a quote that is not closed on its line takes the next one into its cell."""
+    if '"' not in body:
+        return
+    lines = [line for line in body.split("\n") if line.strip("\r")]
+    if rows < len(lines):
+        row = next(k for k, line in enumerate(lines, 1) if line.count('"') % 2)
+        raise RecordingError(
+            f"{path}: row {row}: a quote that is not closed on its line would take the next line "
+            "into its cell; close it, or write the cell without quotes"
+        )
 
 
 class _LastLine:
