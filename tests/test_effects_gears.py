@@ -162,3 +162,15 @@ def test_no_joint_of_the_model_is_taken_for_the_one_between_motor_and_link() -> 
         other = {"joint_compliance", "backlash"} - {effect}
         found = candidates([CATALOGUE[id] for id in (effect, *other)], machine)
         assert {c.effect.id for c in found if c.site.name == "hinge"} == other
+
+
+def test_a_gap_has_no_ends_where_a_model_switches_its_limits_off() -> None:
+    time, flagged = np.arange(0, 2, 0.01), '<option><flag limit="disable"/></option>'
+    log = Recording.from_arrays(time, qpos={"hinge": np.sin(time)}, ctrl={"motor": np.cos(time)})
+    for stop, offered in (("", True), ('range="-90 90"', False)):
+        xml = GEARED.replace("<worldbody>", f"{flagged}<worldbody>")
+        xml = xml.replace('<joint name="hinge"', f'<joint name="hinge" {stop}')
+        assert (stop or "<joint") in xml
+        machine = survey(Model.from_xml(xml).compile(), [log])
+        found = candidates([CATALOGUE["backlash"]], machine)
+        assert bool(found) == offered

@@ -12,6 +12,8 @@ from bo_sysid.mjcf import Model, address_edit
 from bo_sysid.mjcf.commands import units
 from bo_sysid.mjcf.edits import MotorEdit
 
+OFF = mujoco.mjtDisableBit
+
 ARM = """
 <mujoco>
   <worldbody>
@@ -109,6 +111,37 @@ def test_unedited_model_moves_as_the_suites_own_to_the_last_bit():
     ours = Model.from_dm_control("hopper", "stand").compile()
     theirs = Physics.from_xml_string(*hopper.get_model_and_assets()).model.ptr
     np.testing.assert_array_equal(roll_out(ours), roll_out(theirs))
+
+
+@pytest.mark.parametrize("domain", ["acrobot", "fish", "lqr", "finger"])
+def test_what_flags_switch_off_is_written_down_to_the_last_bit(domain):
+    """All but finger, which knows no gravity, disable constraints; fish and lqr have limits."""
+    from dm_control import suite
+
+    task = next(t for d, t in suite.ALL_TASKS if d == domain)
+    ours = Model.from_dm_control(domain, task).compile()
+    theirs = suite.load(domain, task, task_kwargs={"random": 0}).physics.model.ptr
+    assert theirs.opt.disableflags & (OFF.mjDSBL_CONSTRAINT | OFF.mjDSBL_GRAVITY)
+    assert not ours.opt.disableflags & (OFF.mjDSBL_CONSTRAINT | OFF.mjDSBL_GRAVITY)
+    np.testing.assert_array_equal(roll_out(ours), roll_out(theirs))
+
+
+FLAGGED = """<mujoco><option timestep=".002"><flag {flag}="disable"/></option><worldbody>
+ <body><joint name="one" axis="0 1 0" frictionloss="{loss}"/>
+  <geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass="1"/></body>
+ <body pos="0 1 0"><joint name="two" axis="0 1 0" frictionloss="{other}"/>
+  <geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass="1"/></body></worldbody>
+ <equality><joint joint1="one" joint2="two" active="{active}"/></equality></mujoco>"""
+
+
+@pytest.mark.parametrize("flag", ["constraint", "frictionloss"])
+def test_friction_is_added_where_a_flag_switches_all_of_a_model_off(flag):
+    active = {"constraint": "false", "frictionloss": "true"}[flag]
+    off = Model.from_xml(FLAGGED.format(flag=flag, loss=0, other=0.3, active="true"))
+    added = off.compile([address_edit(off, ["joint[one].frictionloss"], 0.2)])
+    without_flag = FLAGGED.format(flag="contact", loss=0.2, other=0, active=active)
+    truth = mujoco.MjModel.from_xml_string(without_flag)
+    np.testing.assert_array_equal(roll_out(added), roll_out(truth))
 
 
 @pytest.mark.parametrize(

@@ -26,6 +26,7 @@ _MOST = 10.0  # of a joint's typical force: what bends the ends of a gap
 _SOFTEST = 0.01  # impedance of the ends of a gap
 _RATIO = 0.25  # damping ratio of a constraint that stands for a spring, or at first for an end
 _RINGING = 0.02  # least damping ratio of an end
+_NO_LIMITS = int(mujoco.mjtDisableBit.mjDSBL_LIMIT)  # the ends of a gap are none
 _EXPLICIT = (mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtIntegrator.mjINT_RK4)
 
 
@@ -153,7 +154,7 @@ def _resolved(site: Site, machine: Machine) -> bool:
 
 def _backlash_extent(site: Site, machine: Machine) -> Extent | None:
     sides = _sides(site, machine, "play")
-    if not sides:
+    if not sides or machine.model.opt.disableflags & _NO_LIMITS:
         return None
     if not _resolved(site, machine):
         sides = (_MOTOR_SIDE,)

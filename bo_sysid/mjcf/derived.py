@@ -1,4 +1,4 @@
-"""What MuJoCo derives from masses and poses at every compilation, written down once.
+"""What MuJoCo derives at every compilation, and what flags switch off, written down once.
 
 A machine keeps its gains and its springs when the model's masses turn out to be others. Left as
 they are, `dampratio`, `springdamper` and the automatic `springlength` would follow every edit of
@@ -7,6 +7,11 @@ mass, inertia, armature or reference position.
 
 import mujoco
 import numpy as np
+
+_OFF = mujoco.mjtDisableBit
+_FRICTION, _EQUALITY = int(_OFF.mjDSBL_FRICTIONLOSS), int(_OFF.mjDSBL_EQUALITY)
+_LIMIT, _GRAVITY = int(_OFF.mjDSBL_LIMIT), int(_OFF.mjDSBL_GRAVITY)
+_ALL = int(_OFF.mjDSBL_CONSTRAINT)  # stands for friction, equalities, limits and contact
 
 
 def settle(spec: mujoco.MjSpec, compiled: mujoco.MjModel) -> None:
@@ -29,3 +34,30 @@ def settle(spec: mujoco.MjSpec, compiled: mujoco.MjModel) -> None:
     for tendon in spec.tendons:
         if np.all(np.asarray(tendon.springlength) == -1):
             tendon.springlength = compiled.tendon_lengthspring[tendon.id]
+
+
+def switch_on(spec: mujoco.MjSpec, compiled: mujoco.MjModel) -> None:
+    """Write down what a spec's flags switch off as something that is not there, in place.
+
+    Under `<flag constraint="disable"/>`, as dm_control's acrobot has it, friction that is added
+    would do nothing, and under `gravity` a tilt. The model stays the same to the last bit. Limits
+    stay switched off where there are some, since their ranges say how far a machine may go.
+
+    Args:
+        spec: the spec to change.
+        compiled: what it compiles to.
+    """
+    off = int(spec.option.disableflags)
+    if off & _ALL:
+        off |= _FRICTION | _EQUALITY | _LIMIT | int(_OFF.mjDSBL_CONTACT)
+    if off & _FRICTION:
+        for element in (*spec.joints, *spec.tendons):
+            element.frictionloss = 0.0
+    if off & _EQUALITY:
+        for equality in spec.equalities:
+            equality.active = False
+    if off & _GRAVITY:
+        spec.option.gravity = np.zeros(3)
+    limited = compiled.jnt_limited.any() or compiled.tendon_limited.any()
+    written = _ALL | _FRICTION | _EQUALITY | _GRAVITY | (0 if limited else _LIMIT)
+    spec.option.disableflags = off & ~written

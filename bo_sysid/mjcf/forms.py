@@ -7,7 +7,7 @@ import mujoco
 
 from bo_sysid.mjcf import sources
 from bo_sysid.mjcf.compiling import compile_spec
-from bo_sysid.mjcf.derived import settle
+from bo_sysid.mjcf.derived import settle, switch_on
 from bo_sysid.mjcf.inertia import drop_overruled_inertials, release_total_mass
 from bo_sysid.mjcf.strip import stripped
 
@@ -45,9 +45,9 @@ class Forms:
         compile_spec(spec, source)  # a copy silently drops what refers to nothing
         full = spec.copy()
         drop_overruled_inertials(full)
-        settle(
-            full, compile_spec(full, source)
-        )  # which numbers the elements and fuses static bodies
+        compiled = compile_spec(full, source)  # numbers the elements and fuses static bodies
+        settle(full, compiled)
+        switch_on(full, compiled)
         sources.name_elements(full)
         lean = stripped(full)
         model = compile_spec(lean, source)
