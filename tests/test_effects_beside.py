@@ -26,7 +26,7 @@ from bo_sysid.effects.beside import (
 from bo_sysid.errors import ModelError
 from bo_sysid.identify.problem import make_problem
 from bo_sysid.mjcf import Model
-from bo_sysid.recording import Recording
+from bo_sysid.recording import Channel, Recording, control_steps
 from bo_sysid.runs import Run
 from bo_sysid.simulation import Engine, ForceLaw, LawInputs, State
 from bo_sysid.simulation.cutting import cut
@@ -142,6 +142,27 @@ def test_a_dead_zone_is_stepped_on_the_command(machine, tmp_path) -> None:
         plain.step()
         assert stepper.data.ctrl[1] == 0.04
     np.testing.assert_allclose(stepper.data.qpos, plain.data.qpos, atol=1e-12)
+
+
+@pytest.mark.parametrize("delay", [0.0007, 0.001, 0.0127])
+def test_a_delay_between_two_steps_is_stepped_as_it_was_searched(machine, tmp_path, delay) -> None:
+    late = Placed("actuator_delay", Site("actuator", "elbow"), (delay,))
+    made = Beside(machine, (late, *beside(machine).effects[:1]))  # a law that holds it back
+    made.write(tmp_path / "arm.json")
+    stepper, dt = Stepper(ARM, tmp_path / "arm.json"), arm().compile().opt.timestep
+    time = np.arange(300) * dt
+    sent = 0.2 * np.sin(9 * time) + 0.1 * np.sign(np.sin(31 * time))
+    for u in sent:
+        stepper.data.ctrl[1] = u
+        stepper.step()
+    (act,) = (p for p in made.parts(arm()) if isinstance(p, Filter))
+    arrives = act.change(Channel(time, sent, "", "", "zero"), dt)
+    ctrl = np.zeros((1, 300, 2))
+    ctrl[..., 1] = control_steps(arrives, np.zeros(1), 300, dt)
+    laws = force_laws(made.parts(arm()))
+    state = State(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 0)))
+    searched = Engine(1).rollout(arm().compile(), state, ctrl, laws=laws)
+    np.testing.assert_allclose(stepper.data.qpos, searched.qpos[0, -1], atol=1e-9)
 
 
 FRICTION = (  # as a diagnosis writes it: an actuator without a control

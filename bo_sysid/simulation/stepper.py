@@ -13,7 +13,7 @@ from bo_sysid.effects.learned import ELAPSED
 from bo_sysid.errors import ModelError
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.commands import controlled
-from bo_sysid.recording import Channel
+from bo_sysid.recording import Channel, control_steps
 from bo_sysid.simulation.lockstep import LockStep, force_laws, steps_held
 
 _MEMORY = 2.0  # [s] of commands that filters look back on
@@ -75,7 +75,8 @@ class Stepper:
                     begun = np.concatenate([[self._state[i, k]], channel.values])
                     channel = replace(channel, time=time, values=begun)
                 channel = self._made[i, k] = f.change(channel, m.opt.timestep)
-            d.ctrl[i] = channel.at(np.array([d.time + _ROUNDING * m.opt.timestep]))[0]
+            # as in the search: a change that comes within a step counts for its part of it
+            d.ctrl[i] = control_steps(channel, np.array([d.time]), 1, m.opt.timestep)[0, 0]
         d.qfrc_applied[:] = applied + self._forces()
         mujoco.mj_step(m, d)
         d.ctrl[:], d.qfrc_applied[:] = commanded, applied
