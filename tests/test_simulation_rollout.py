@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bo_sysid.errors import StudyError
-from bo_sysid.mjcf import Model
+from bo_sysid.mjcf import Model, address_edit
 from bo_sysid.simulation import (
     Controller,
     Engine,
@@ -89,6 +89,36 @@ def test_models_differ_by_window() -> None:
     for w, model in enumerate(models):
         alone = loop(model, start.rows(np.array([w])), ctrl[w : w + 1])
         np.testing.assert_array_equal(trajectory.qpos[w], alone[0])
+
+
+DRONE = """<mujoco><option timestep="0.002"/><worldbody><body name="drone"><freejoint name="root"/>
+  <geom type="box" size=".1 .1 .02" mass="1"/><site name="rotor" pos=".1 0 0"/></body></worldbody>
+  <actuator><motor name="thrust" site="rotor" gear="0 0 1 0 0 .02"/></actuator>
+  <sensor><gyro name="gyro" site="rotor"/></sensor></mujoco>"""
+
+
+@pytest.mark.parametrize("with_law", [False, True])
+def test_a_free_body_whose_centre_of_mass_may_be_at_its_origin(with_law: bool) -> None:
+    """MuJoCo keeps less of that one: no batch holds it beside others."""
+    drone, offsets = Model.from_xml(DRONE), (-0.01, 0.0, 0.01, 0.0)
+    models = [drone.compile([address_edit(drone, ["body[drone].ipos[0]"], x)]) for x in offsets]
+    assert len({m.nC for m in models}) == 2
+    rest = np.tile(models[0].qpos0, (4, 1))
+    start = State(rest, 0.1 * np.ones((4, 6)), np.zeros((4, 0)))
+    ctrl = np.random.default_rng(1).normal(size=(4, 30, 1))
+    signals = {"aux.thrust": ctrl[..., 0]}
+    laws = [Controller("thrust", lambda inputs: inputs.signals["aux.thrust"])] if with_law else []
+    told = 0 * ctrl if with_law else ctrl
+    run = Engine(1).rollout(models, start, told, laws=laws, signals=signals, sensors=True)
+    end, diverged = Engine(1).final(models, start, ctrl[:, 0], steps=20)
+    held = np.repeat(ctrl[:, :1], 20, axis=1)
+    for w, model in enumerate(models):
+        own = slice(w, w + 1)
+        alone = Engine(1).rollout(model, start.rows(own), ctrl[own], sensors=True)
+        np.testing.assert_array_equal(run.qpos[w], loop(model, start.rows(own), ctrl[own])[0])
+        np.testing.assert_array_equal(run.sensordata[w], alone.sensordata[0])
+        np.testing.assert_array_equal(end[w, :7], loop(model, start.rows(own), held[own])[0, -1])
+    assert not (run.diverged | diverged).any()
 
 
 def test_an_engine_forgets_the_previous_call() -> None:

@@ -76,7 +76,7 @@ class Engine:
         """Simulate W starts for S steps.
 
         Args:
-            models: one model for all windows or one for each, all of one structure.
+            models: one model for all windows or one for each, of one spec with other numbers.
             start: the `W` starts.
             ctrl: `W x S x nu` controls, each held during its step.
             force: `W x S x nv` generalised forces in [N m] or [N], each held during its step.
@@ -87,6 +87,30 @@ class Engine:
         Returns:
             The trajectory; a simulation that diverges is flagged, never raised.
         """
+        groups = _of_one_layout(models)
+        if len(groups) < 2:
+            return self._rollout(models, start, ctrl, force, laws, signals or {}, sensors)
+        parts = []
+        for rows in groups:
+            own_force = None if force is None else force[rows]
+            own_signals = {name: values[rows] for name, values in (signals or {}).items()}
+            own, states = [models[w] for w in rows], start.rows(rows)
+            parts.append(
+                self._rollout(own, states, ctrl[rows], own_force, laws, own_signals, sensors)
+            )
+        return Trajectory.concatenated(parts).rows(np.argsort(np.concatenate(groups)))
+
+    def _rollout(
+        self,
+        models: mujoco.MjModel | Sequence[mujoco.MjModel],
+        start: State,
+        ctrl: Ctrl,
+        force: Float[np.ndarray, "W S nv"] | None,
+        laws: Sequence[Controller | ForceLaw],
+        signals: Mapping[str, Float[np.ndarray, "W S"]],
+        sensors: bool,
+    ) -> Trajectory:
+        """Simulate with models of one layout; see `rollout`."""
         batch = self._prepare(models, start, ctrl[:, :1])
         before = _warnings(batch)
         with quietly():
@@ -100,7 +124,7 @@ class Engine:
                     views["act"] = batch.bind("act")
                 alone = force is None and not sensors
                 every = steps_held(laws, model.opt.timestep) if alone else 1
-                lockstep = LockStep(model, tuple(laws), signals or {}, views, force, every)
+                lockstep = LockStep(model, tuple(laws), signals, views, force, every)
                 if every > 1:
                     recorded = self._with_held_forces(batch, ctrl, lockstep, every)
                 else:
@@ -124,6 +148,26 @@ class Engine:
             `W x (nq + nv + na)` final states, valid until the next call, and the `W` flags of
             those that diverged.
         """
+        groups = _of_one_layout(models)
+        if len(groups) < 2:
+            return self._final(models, start, ctrl, steps)
+        states = np.zeros(
+            (len(start), sum(a.shape[1] for a in (start.qpos, start.qvel, start.act)))
+        )
+        diverged = np.zeros(len(start), bool)
+        for rows in groups:
+            own = [models[w] for w in rows]
+            states[rows], diverged[rows] = self._final(own, start.rows(rows), ctrl[rows], steps)
+        return states, diverged
+
+    def _final(
+        self,
+        models: mujoco.MjModel | Sequence[mujoco.MjModel],
+        start: State,
+        ctrl: Float[np.ndarray, "W nu"],
+        steps: int,
+    ) -> tuple[Float[np.ndarray, "W n"], Bool[np.ndarray, " W"]]:
+        """Simulate with models of one layout; see `final`."""
         batch = self._prepare(models, start, ctrl[:, None])
         before = _warnings(batch)
         if batch.model.nu:
@@ -278,6 +322,20 @@ class Engine:
                 good = batch.state[:, first : first + size]
                 states[:, k] = np.where(alive[:, None], good, states[:, max(k - 1, 0)])
         return states, sensed, ~alive
+
+
+def _of_one_layout(
+    models: mujoco.MjModel | Sequence[mujoco.MjModel],
+) -> list[Int[np.ndarray, " _"]]:
+    """Return the rows of the models that one batch can hold together; none where there is one.
+
+    MuJoCo keeps less of a free body whose centre of mass is where its frame is: where candidates
+    have it there and elsewhere, those there take a batch of their own.
+    """
+    if isinstance(models, mujoco.MjModel):
+        return []
+    sizes = np.array([m.nbuffer for m in models])
+    return [np.flatnonzero(sizes == size) for size in np.unique(sizes)]
 
 
 def _first(models: mujoco.MjModel | Sequence[mujoco.MjModel]) -> mujoco.MjModel:

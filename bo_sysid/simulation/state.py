@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -174,6 +175,15 @@ class Trajectory:
     sensordata: Float[np.ndarray, "W S1 ns"] | None
     diverged: Bool[np.ndarray, " W"]
     ctrl: Float[np.ndarray, "W S nu"] | None = None
+
+    @classmethod
+    def concatenated(cls, parts: Sequence["Trajectory"]) -> "Trajectory":
+        """Return several sets of trajectories as one, all with sensors and controls or none."""
+        joined: dict[str, Any] = {}
+        for name in (f.name for f in fields(cls)):
+            own = [getattr(p, name) for p in parts]
+            joined[name] = None if own[0] is None else np.concatenate(own)
+        return cls(**joined)
 
     def rows(self, index: np.ndarray | slice) -> "Trajectory":
         """Return the trajectories of some windows."""
