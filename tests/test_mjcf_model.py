@@ -287,6 +287,26 @@ def test_fixed_base_holds_the_robot_and_leaves_objects_free(tmp_path):
     assert Model.from_file(path).joints == ("joint_0", "hip", "ball")
 
 
+def test_a_fixed_base_takes_along_what_pushes_it(tmp_path):
+    """A disturbance along the free joint, with a sensor of it, and a keyframe of both controls."""
+    pushed = FLOATING.replace("<freejoint/>", '<freejoint name="root"/>', 1)
+    pushed = pushed.replace(
+        "</actuator>",
+        '<motor name="push" joint="root" gear="1 0 0 0 0 0"/></actuator>'
+        '<sensor><actuatorfrc name="pushed" actuator="push"/><jointpos joint="hip"/></sensor>',
+    )
+    path = tmp_path / "robot.xml"
+    path.write_text(pushed.replace('ctrl=".3"', 'ctrl=".3 7"'))
+    model = Model.from_file(path, base="fixed")
+    assert (model.joints, model.actuators) == (("hip", "ball"), ("hip",))
+    assert len(model.sensors) == 1
+    plain = FLOATING.replace("<freejoint/>", "", 1).replace("1 2 3 1 0 0 0 .5", ".5")
+    truth = mujoco.MjModel.from_xml_string(plain.replace("1 2 3 4 5 6 .7", ".7"))
+    compiled = model.compile()
+    np.testing.assert_array_equal(compiled.key_ctrl, truth.key_ctrl)
+    np.testing.assert_array_equal(roll_out(compiled), roll_out(truth))
+
+
 def test_keyframes_follow_an_edit_that_adds_a_joint():
     def add(spec: mujoco.MjSpec) -> None:
         motor = spec.body("leg").add_joint(name="play", ref=0.1)

@@ -139,6 +139,8 @@ def menagerie_file(robot: str) -> Path:
 def hold_base(spec: mujoco.MjSpec, source: str) -> None:
     """Remove the free joint of every floating robot; a model without one stays as it is.
 
+    What drives it and the sensors of both are removed, too.
+
     A floating robot is a free body with further joints below it; a lone free body (an object in
     the scene) keeps its joint unless the model has nothing but such bodies.
     """
@@ -150,7 +152,7 @@ def hold_base(spec: mujoco.MjSpec, source: str) -> None:
     name_elements(spec)
     before = compile_spec(spec, source)
     for joint in robots or free:
-        spec.delete(joint)
+        _remove(spec, joint)
     if spec.keys:
         refit_keyframes(spec, before, source)
 
@@ -179,14 +181,20 @@ def hold_joints(spec: mujoco.MjSpec, names: Sequence[str], source: str) -> None:
                 f"unrecorded: {{{name}: null}} lets it move unmeasured",
                 key="hold",
             )
-        drives = [a for a in spec.actuators if int(a.trntype) in ALONG_JOINT and a.target == name]
-        gone = {(mujoco.mjtObj.mjOBJ_ACTUATOR, a.name) for a in drives}
-        gone.add((mujoco.mjtObj.mjOBJ_JOINT, name))
-        sensors = [s for s in spec.sensors if (s.objtype, s.objname) in gone]
-        for element in (*sensors, *drives, joints[name]):
-            spec.delete(element)
+        _remove(spec, joints[name])
     if spec.keys:
         refit_keyframes(spec, before, source)
+
+
+def _remove(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
+    """Remove a joint with the actuators that drive it, and the sensors of both."""
+    name = joint.name
+    drives = [a for a in spec.actuators if int(a.trntype) in ALONG_JOINT and a.target == name]
+    gone = {(mujoco.mjtObj.mjOBJ_ACTUATOR, a.name) for a in drives}
+    gone.add((mujoco.mjtObj.mjOBJ_JOINT, name))
+    sensors = [s for s in spec.sensors if (s.objtype, s.objname) in gone]
+    for element in (*sensors, *drives, joint):
+        spec.delete(element)
 
 
 NAMED_KINDS = {
