@@ -403,6 +403,7 @@ def test_a_propeller_can_be_weak_late_and_limited() -> None:
     assert limited.reported(np.array([1.0]), machine, site) == pytest.approx(float(u.max()) - 1.0)
 
 
+@pytest.mark.parametrize("flag", ["", '<option><flag clampctrl="disable"/></option>'])
 @pytest.mark.parametrize(
     ("gear", "joint", "drive"),
     [
@@ -411,10 +412,10 @@ def test_a_propeller_can_be_weak_late_and_limited() -> None:
         (-3, 'actuatorfrcrange="-4.5 6"', 'forcerange="-1.7 2"'),
     ],
 )
-def test_forces_that_laws_read_are_clipped_as_mujoco_does(gear, joint, drive) -> None:
+def test_forces_that_laws_read_are_clipped_as_mujoco_does(gear, joint, drive, flag) -> None:
     """Commands of policies lie beyond the control range; the actuator does not."""
     model = Model.from_xml(
-        f'<mujoco><worldbody><body><joint name="j" {joint}/><geom size=".1" mass="1"/></body>'
+        f'<mujoco>{flag}<worldbody><body><joint name="j" {joint}/><geom size=".1" mass="1"/></body>'
         f'</worldbody><actuator><general name="a" joint="j" gear="{gear}" gainprm="2" '
         f'biastype="affine" biasprm=".1 -1 -.2" ctrlrange="-1 1" {drive}/></actuator></mujoco>'
     ).compile()
@@ -431,6 +432,9 @@ def test_forces_that_laws_read_are_clipped_as_mujoco_does(gear, joint, drive) ->
     np.testing.assert_allclose(scale.force(u, q, v), applied, atol=1e-12)
     assert scale.force_max == pytest.approx(np.abs(applied).max(), rel=0.02)
     machine, site = survey(model, [log]), Site("actuator", "a")
+    (late,) = CATALOGUE["actuator_delay"].parts(mujoco.MjSpec(), site, np.array([0.01]), machine)
+    sent = late.change(log.channels["ctrl.a"], 0.002).values
+    np.testing.assert_array_equal(sent, u if flag else np.clip(u, -1.0, 1.0))
     most = CATALOGUE["actuator_saturation"].nominal(site, machine)
     assert most == pytest.approx(
         np.abs(scale.force(np.array([-9.0, 9.0]), 0 * q[:2], 0 * v[:2])).max()

@@ -584,10 +584,13 @@ def test_a_short_log_is_not_left_out_for_what_a_lag_remembers() -> None:
     np.testing.assert_allclose(windows.time, [0.15, 0.2, 0.25], atol=1e-9)  # three time constants
 
 
+@pytest.mark.parametrize("clamp", ["enable", "disable"])
 @pytest.mark.parametrize("limits", ['actrange="-.5 .5"', 'ctrlrange="-.4 .3"'])
-def test_an_activation_that_integrates_stops_where_mujoco_stops_it(limits: str) -> None:
+def test_an_activation_that_integrates_stops_where_mujoco_stops_it(limits: str, clamp: str) -> None:
     """It leaves the end of its range as soon as its control turns."""
-    model = Model.from_xml(ACTING.replace('actrange="-2 2"', limits))
+    flag = f'<option><flag clampctrl="{clamp}"/></option>'
+    text = ACTING.replace('actrange="-2 2"', limits)
+    model = Model.from_xml(text.replace("<worldbody>", f"{flag}<worldbody>", 1))
     plant = model.compile()
     data, rows = mujoco.MjData(plant), []
     for k in range(600):

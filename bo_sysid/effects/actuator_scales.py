@@ -12,7 +12,13 @@ from bo_sysid.effects.machine import ActuatorScale
 from bo_sysid.effects.memory import activation, remembers
 from bo_sysid.effects.recorded_forces import forces_along, unseen
 from bo_sysid.effects.recorded_motion import Motion
-from bo_sysid.mjcf.commands import ALONG_JOINT, driven_joint, follows, joint_force_limits
+from bo_sysid.mjcf.commands import (
+    ALONG_JOINT,
+    control_limits,
+    driven_joint,
+    follows,
+    joint_force_limits,
+)
 from bo_sysid.mjcf.joints import BALL, SCALAR, SLIDE
 from bo_sysid.recording import Recording
 
@@ -53,7 +59,7 @@ def actuator_scale(
         plain=int(model.actuator_gaintype[a]) == int(mujoco.mjtGain.mjGAIN_FIXED)
         and int(model.actuator_biastype[a]) in (int(mujoco.mjtBias.mjBIAS_NONE), _AFFINE),
         jumps=(),
-        ctrl_limits=_limits(bool(model.actuator_ctrllimited[k]), model.actuator_ctrlrange[k]),
+        ctrl_limits=control_limits(model, k),
         force_limits=_force_limits(model, a, joint),
         follows=follows(model, a),
     )

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bo_sysid.effects.balance import balancing_activations
-from bo_sysid.mjcf.commands import LAGS
+from bo_sysid.mjcf.commands import LAGS, control_limits
 from bo_sysid.recording import Channel, Recording
 
 _INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
@@ -70,10 +70,10 @@ def activation(
 def _clipped(compiled: mujoco.MjModel, recording: Recording, a: int) -> Channel:
     """Return the control of an actuator within the range to which it is clamped before it acts."""
     channel = recording.channels[f"ctrl.{compiled.actuator(a).name}"]
-    k = int(compiled.actuator_ctrladr[a])
-    if not compiled.actuator_ctrllimited[k]:
+    ends = control_limits(compiled, int(compiled.actuator_ctrladr[a]))
+    if ends is None:
         return channel
-    return replace(channel, values=np.clip(channel.values, *compiled.actuator_ctrlrange[k]))
+    return replace(channel, values=np.clip(channel.values, *ends))
 
 
 def _held(channel: Channel) -> Channel:

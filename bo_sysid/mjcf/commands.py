@@ -111,10 +111,18 @@ def clamped(
     model: mujoco.MjModel, ctrl: Float[np.ndarray, "... nu"]
 ) -> Float[np.ndarray, "... nu"]:
     """Return controls as they act: within their ranges, where a model limits them."""
-    limited = model.actuator_ctrllimited.astype(bool)
-    low, high = model.actuator_ctrlrange.T
-    within = np.clip(ctrl, np.where(limited, low, -np.inf), np.where(limited, high, np.inf))
-    return np.asarray(within)
+    ends = [control_limits(model, k) or (-np.inf, np.inf) for k in range(model.nu)]
+    low, high = np.array(ends).reshape(-1, 2).T
+    return np.asarray(np.clip(ctrl, low, high))
+
+
+def control_limits(model: mujoco.MjModel, control: int) -> tuple[float, float] | None:
+    """Return the ends to which MuJoCo clips a control before it acts, None where it does not."""
+    unclipped = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
+    if unclipped or not model.actuator_ctrllimited[control]:
+        return None
+    low, high = model.actuator_ctrlrange[control].tolist()
+    return low, high
 
 
 def command_bounds(
