@@ -144,6 +144,35 @@ def test_friction_is_added_where_a_flag_switches_all_of_a_model_off(flag):
     np.testing.assert_array_equal(roll_out(added), roll_out(truth))
 
 
+PASSIVE = """<mujoco><option timestep=".002" density="50" viscosity=".1"><flag {}/></option>
+ <worldbody><body gravcomp=".4"><joint name="a" axis="0 1 0" stiffness="2 1 1" damping=".1 .2 .1"/>
+  <geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass="1"/><site name="s" pos=".2 0 0"/>
+  <body pos=".3 0 0"><joint name="b" axis="1 0 1" springdamper=".3 .5"/>
+   <geom type="capsule" fromto="0 0 0 .3 .1 .1" size=".02" mass="1"/></body></body>
+  <site name="w" pos="0 0 .3"/></worldbody><tendon><spatial stiffness="30" damping=".5"
+  springlength=".1"><site site="w"/><site site="s"/></spatial></tendon>
+ <actuator><motor joint="a" damping=".05"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("flag", ['spring="disable"', 'damper="disable"'])
+def test_springs_and_dampers_are_added_where_a_flag_switches_those_of_a_model_off(flag):
+    """Both flags together switch off what no edit is, and stay."""
+    plain = Model.from_xml(text := PASSIVE.format(flag))
+    truth = mujoco.MjModel.from_xml_string(text)
+    np.testing.assert_array_equal(roll_out(plain.compile()), roll_out(truth))
+    what, dof = ("stiffness", "jnt") if "spring" in flag else ("damping", "dof")
+    added = plain.compile([address_edit(plain, [f"joint[b].{what}"], 0.3)])
+    bare = mujoco.MjModel.from_xml_string(PASSIVE.format(""))
+    for name in (f"{dof}_{what}", f"{dof}_{what}poly", f"tendon_{what}", f"actuator_{what}"):
+        if hasattr(bare, name):
+            getattr(bare, name)[:] = 0.0
+    getattr(bare, f"{dof}_{what}")[1] = 0.3
+    np.testing.assert_array_equal(roll_out(added), roll_out(bare))
+    both = PASSIVE.format('spring="disable" damper="disable"')
+    silent = mujoco.MjModel.from_xml_string(both)
+    np.testing.assert_array_equal(roll_out(Model.from_xml(both).compile()), roll_out(silent))
+
+
 @pytest.mark.parametrize(
     ("domain", "task", "bodies"),
     [("swimmer", "swimmer3", 3), ("swimmer3", "swim", 3), ("swimmer", "swimmer15", 15)],

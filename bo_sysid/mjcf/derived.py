@@ -11,6 +11,7 @@ import numpy as np
 _OFF = mujoco.mjtDisableBit
 _FRICTION, _EQUALITY = int(_OFF.mjDSBL_FRICTIONLOSS), int(_OFF.mjDSBL_EQUALITY)
 _LIMIT, _GRAVITY = int(_OFF.mjDSBL_LIMIT), int(_OFF.mjDSBL_GRAVITY)
+_SPRING, _DAMPER = int(_OFF.mjDSBL_SPRING), int(_OFF.mjDSBL_DAMPER)
 _ALL = int(_OFF.mjDSBL_CONSTRAINT)  # stands for friction, equalities, limits and contact
 
 
@@ -40,8 +41,9 @@ def switch_on(spec: mujoco.MjSpec, compiled: mujoco.MjModel) -> None:
     """Write down what a spec's flags switch off as something that is not there, in place.
 
     Under `<flag constraint="disable"/>`, as dm_control's acrobot has it, friction that is added
-    would do nothing, and under `gravity` a tilt. The model stays the same to the last bit. Limits
-    stay switched off where there are some, since their ranges say how far a machine may go.
+    would do nothing, under `gravity` a tilt, and under `spring` a force. The model stays the same
+    to the last bit. Limits stay switched off where there are some, since their ranges say how far a
+    machine may go.
 
     Args:
         spec: the spec to change.
@@ -60,4 +62,21 @@ def switch_on(spec: mujoco.MjSpec, compiled: mujoco.MjModel) -> None:
         spec.option.gravity = np.zeros(3)
     limited = compiled.jnt_limited.any() or compiled.tendon_limited.any()
     written = _ALL | _FRICTION | _EQUALITY | _GRAVITY | (0 if limited else _LIMIT)
-    spec.option.disableflags = off & ~written
+    spec.option.disableflags = off & ~written & ~_without_passive(spec, off)
+
+
+def _without_passive(spec: mujoco.MjSpec, off: int) -> int:
+    """Take the springs or the dampers that flags switch off out of a spec; return the flag.
+
+    Both flags together switch off all passive forces, of a medium as well, and stay; so do those of
+    soft bodies.
+    """
+    passive = off & (_SPRING | _DAMPER)
+    if passive not in (_SPRING, _DAMPER) or spec.flexes:
+        return 0
+    for element in (*spec.joints, *spec.tendons):
+        name = "stiffness" if passive == _SPRING else "damping"
+        setattr(element, name, np.zeros(3))
+    for actuator in spec.actuators if passive == _DAMPER else ():
+        actuator.damping = np.zeros(3)
+    return passive
