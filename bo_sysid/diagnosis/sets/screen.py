@@ -64,8 +64,7 @@ class Screen:
             spent = fit.hypothesis.numerics in SHARE_BOUNDS
             owner = np.append(owner, _SPENT if spent else _NUISANCE)
         A = S.reshape(-1, S.shape[-1])
-        y = project(frame.Q, fit.residual).astype(np.float32)
-        G, b = (A.T @ A).astype(float), (A.T @ y.ravel()).astype(float)
+        G, b = (A.T @ A).astype(float), _products(S, project(frame.Q, fit.residual))
         return cls(tuple(candidates), S, owner, G, b, problem.nuisances, nuisances)
 
     def gram(self, fixed: Sequence[int], now: dict[int, np.ndarray]) -> Gram:
@@ -80,6 +79,10 @@ class Screen:
         for c, z in zip(members, x, strict=True):
             b = b + self.G[:, self._columns(c)] @ z
         return replace(self, b=b)
+
+    def explaining(self, residual: Float[np.ndarray, "W R"]) -> "Screen":
+        """Return the screen for another projected residual, with the signatures of this fit."""
+        return replace(self, b=_products(self.signatures, residual))
 
     def jacobian(self, members: Sequence[Candidate]) -> Float[np.ndarray, "W R p"] | None:
         """Return the columns of members and nuisances, None where one is not among them."""
@@ -98,6 +101,13 @@ class Screen:
 
     def _columns(self, candidate: Candidate) -> Int[np.ndarray, " k"]:
         return np.flatnonzero(self.owner == self.candidates.index(candidate))
+
+
+def _products(
+    signatures: Float[np.ndarray, "W R a"], y: Float[np.ndarray, "W R"]
+) -> Float[np.ndarray, " a"]:
+    A = signatures.reshape(-1, signatures.shape[-1])
+    return np.asarray((A.T @ y.ravel().astype(np.float32)).astype(float))
 
 
 def _as_fitted(
