@@ -380,6 +380,8 @@ def test_unnamed_elements_can_be_addressed():
         ("geom[ballast].mass", r"address body\[x\]\.mass"),
         ("body[world].mass", "the world does not move"),
         ("actuator[x].kp", "is not a position servo"),
+        ("actuator[servo].ctrlrange[1]", "the model has no ctrlrange; write both ends into it"),
+        ("joint[y].range[0]", "the model has no range"),
         ("option.gravity", r"needs an index, gravity\[0\] to gravity\[2\]"),
         ("option[x].gravity[0]", r"must look like option\.gravity"),
         ("joint.damping", r"must look like joint\[name\]\.damping"),

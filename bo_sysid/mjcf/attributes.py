@@ -51,6 +51,8 @@ def _plain(prefix: str, **sizes: int) -> dict[str, Attribute]:
     return {name: Attribute(name, (f"{prefix}_{name}",), size) for name, size in sizes.items()}
 
 
+_RANGES = ("range", "ctrlrange", "forcerange", "actrange", "actuatorfrcrange")
+
 ATTRIBUTES: dict[str, dict[str, Attribute]] = {
     "joint": {
         **_polynomial("dof", "damping"),
@@ -154,6 +156,11 @@ def refusal(kind: str, name: str, element: Any) -> str:
     """Return why the attribute means nothing on this element, or the empty string."""
     checks = {"joint": _joint, "geom": _geom, "body": _body, "actuator": _actuator}
     reason = checks[kind](name, element) if kind in checks else ""
+    if not reason and name in _RANGES:
+        low, high = getattr(element, ATTRIBUTES[kind][name].spec)
+        inherited = name == "ctrlrange" and element.inheritrange > 0
+        if low == high and not inherited:  # one end alone would switch it on, with the other at 0
+            reason = f"the model has no {name}; write both ends into it first"
     if not reason and name == "pos" and element.frame is not None:
         reason = "it sits in a <frame>, which would move it again"
     if not reason and kind == "equality" and name == "polycoef":
