@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from bo_sysid.diagnosis import Diagnosis, diagnose
 from bo_sysid.diagnosis.answer.judge import judge
 from bo_sysid.diagnosis.answer.notes import (
+    clipped_commands,
     effects_without_site,
     not_compared,
     parameters_out_of_bounds,
@@ -204,6 +205,19 @@ def test_bounds_that_leave_out_the_model_are_said(tmp_path: Path) -> None:
     study = write_study(tmp_path, parameters=[heavy])
     (note,) = parameters_out_of_bounds(study, gather(study, load_train(study)))
     assert note.startswith("The model as it is lies outside the bounds of m (")
+
+
+def test_commands_that_the_model_clips_are_said(tmp_path: Path) -> None:
+    limits = np.abs(record(seed=1, duration=8.0).channels["ctrl.elbow"].values)
+    narrow = arm().spec()
+    for name, high in (("elbow", float(np.quantile(limits, 0.9))), ("shoulder", 1e3)):
+        narrow.actuator(name).ctrlrange = (-high, high)
+        narrow.actuator(name).ctrllimited = True
+    (tmp_path / "narrow.xml").write_text(narrow.to_xml())
+    study = write_study(tmp_path, model="narrow.xml")
+    (note,) = clipped_commands(gather(study, load_train(study)))
+    assert note.startswith("train: ctrl.elbow leaves the model's control range")
+    assert "for 10 % of the time; the model will clip it." in note
 
 
 def test_joints_and_sensors_that_are_left_out_are_said() -> None:

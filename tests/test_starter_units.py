@@ -193,7 +193,13 @@ def test_units_in_brackets_are_read_before_names_are_split(
 
 @pytest.mark.parametrize(
     ("column", "factor"),
-    [("i [mA]", 1e-3), ("tau_mNm", 1e-3), ("i [A]", 1.0), ("cmd_front_gf", 9.80665e-3)],
+    [
+        ("i [mA]", 1e-3),
+        ("tau_mNm", 1e-3),
+        ("i [A]", 1.0),
+        ("cmd_front_gf", 9.80665e-3),
+        ("valve_pct", 0.01),
+    ],
 )
 def test_a_control_is_read_in_the_unit_that_its_column_carries(column: str, factor: float) -> None:
     table = RawTable("log", {"t [ms]": 1e-3 * TIMES, "angle [deg]": 30 * WAVE, column: 50 * WAVE})
@@ -202,6 +208,15 @@ def test_a_control_is_read_in_the_unit_that_its_column_carries(column: str, fact
     np.testing.assert_allclose(channels["ctrl.wheel"].values, 50 * factor * WAVE)
     np.testing.assert_allclose(channels["qpos.wheel"].values, np.deg2rad(30 * WAVE))
     np.testing.assert_allclose(channels["qpos.wheel"].time, 1e-6 * TIMES)
+
+
+def test_percent_stay_where_the_model_takes_percent() -> None:
+    table = RawTable("log", {"time": TIMES, "angle": WAVE, "valve_pct": 98 * WAVE})
+    for bound, factor in ((1, 0.01), (100, 1.0)):
+        wheel = WHEEL.format(limits="").replace("<motor ", f'<motor ctrlrange="-{bound} {bound}" ')
+        rules = guess_rules(Model.from_xml(wheel), table)
+        control = read(table, rules).channels["ctrl.wheel"]
+        np.testing.assert_allclose(control.values, 98 * factor * WAVE)
 
 
 def test_a_current_is_no_goal_of_a_servo() -> None:

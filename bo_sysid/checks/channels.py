@@ -24,11 +24,7 @@ _SLOW = 0.11  # [s] between samples, from which on a motion is hardly seen
 
 def channel_flags(model: mujoco.MjModel, recordings: Sequence[Recording]) -> list[Flag]:
     """Return saturated commands, frozen sensors and positions that jump and come back."""
-    limits = {
-        f"ctrl.{model.actuator(a).name}": tuple(model.actuator_ctrlrange[k])
-        for k, a in enumerate(controlled(model))
-        if model.actuator_ctrllimited[k]
-    }
+    limits = _ranges(model)
     flags: list[Flag] = []
     for r in recordings:
         for name, channel in r.channels.items():
@@ -39,6 +35,26 @@ def channel_flags(model: mujoco.MjModel, recordings: Sequence[Recording]) -> lis
                 flags += _frozen(r.name, name, channel)
                 flags += _outliers(r.name, name, channel) if kind == "qpos" else []
     return flags
+
+
+def clipped(model: mujoco.MjModel, recordings: Sequence[Recording]) -> list[Flag]:
+    """Return how long commands are beyond what the model takes of them."""
+    found = (
+        _beyond(r.name, name, r.channels[name], limits)
+        for name, limits in _ranges(model).items()
+        for r in recordings
+        if name in r.channels
+    )
+    return [flag for flags in found for flag in flags]
+
+
+def _ranges(model: mujoco.MjModel) -> dict[str, tuple[float, float]]:
+    """Return the control ranges of a model by channel, where it has some."""
+    return {
+        f"ctrl.{model.actuator(a).name}": tuple(model.actuator_ctrlrange[k])
+        for k, a in enumerate(controlled(model))
+        if model.actuator_ctrllimited[k]
+    }
 
 
 def _saturated(
@@ -65,19 +81,25 @@ def _saturated(
                         {"value": float(extreme), "share": share},
                     )
                 )
-    if limits and (values.min() < limits[0] - 1e-9 or values.max() > limits[1] + 1e-9):
-        beyond = float(spent[(values < limits[0]) | (values > limits[1])].sum() / spent.sum())
-        flags.append(
-            Flag(
-                "look",
-                "saturation",
-                (name,),
-                f"{recording}: {name} leaves the model's control range [{limits[0]:g}, "
-                f"{limits[1]:g}] for {100 * beyond:.0f} % of the time; the model will clip it.",
-                {"share": beyond},
-            )
+    return flags + (_beyond(recording, name, channel, limits) if limits else [])
+
+
+def _beyond(recording: str, name: str, channel: Channel, limits: tuple[float, float]) -> list[Flag]:
+    """Return for how much of the time a command is beyond its range, if it ever is."""
+    values, spent = channel.values[:-1], np.diff(channel.time)
+    if values.min() >= limits[0] - 1e-9 and values.max() <= limits[1] + 1e-9:
+        return []
+    beyond = float(spent[(values < limits[0]) | (values > limits[1])].sum() / spent.sum())
+    return [
+        Flag(
+            "look",
+            "saturation",
+            (name,),
+            f"{recording}: {name} leaves the model's control range [{limits[0]:g}, "
+            f"{limits[1]:g}] for {100 * beyond:.0f} % of the time; the model will clip it.",
+            {"share": beyond},
         )
-    return flags
+    ]
 
 
 def _frozen(recording: str, name: str, channel: Channel) -> list[Flag]:

@@ -21,6 +21,9 @@ from bo_sysid.diagnosis.answer.trifle import trifle_sentence
 from bo_sysid.diagnosis.answer.uncrossed import uncrossed_sentence
 from bo_sysid.diagnosis.frozen import Frozen
 
+_HINTS = (
+    "What follows are hints, not yet findings: with a probability of {:.1f} it is something else."
+)
 _CONTACT = (
     "The machine is in contact, or meets its stops, where names are hints and not yet findings."
 )
@@ -50,6 +53,7 @@ def _found(frozen: Frozen) -> list[str]:
     """Return what is missing, or that nothing is."""
     answer = frozen.answer
     sentences = [
+        _HINTS.format(answer.none_of_these) if answer.hinted else "",
         *found_sentences(answer.findings),
         *answer.unexplained.sentences,
         disputed_sentence(frozen.outcome.disputed),
@@ -58,7 +62,11 @@ def _found(frozen: Frozen) -> list[str]:
     if any(sentences):
         return sentences
     once = "" if frozen.parameters.empty else ", once its parameters are fitted"
-    return [f"Nothing that these recordings could show is missing from the model{once}."]
+    other = sum(float(a["probability"]) for a in answer.alternatives)
+    return [
+        f"Nothing that these recordings could show is missing from the model{once} "
+        f"(probability {1.0 - other:.2f})."
+    ]
 
 
 def _beside(frozen: Frozen, shifts: Mapping[str, float]) -> list[str]:

@@ -48,7 +48,8 @@ PLACED = WORDS["position"] - {"state", "states", "joint", "x", "y"}
 UNITS = {
     "deg": "deg", "degrees": "deg", "rad": "rad", "ticks": "ticks", "mrad": "mrad", "ms": "ms",
     "us": "us", "ns": "ns", "msec": "ms", "usec": "us", "nsec": "ns", "rpm": "rpm", "mm": "mm",
-    "percent": "%", "grad": "deg", "counts": "ticks", "gf": "gf", "kgf": "kgf", "lbf": "lbf",
+    "percent": "%", "pct": "%", "grad": "deg", "counts": "ticks", "gf": "gf", "kgf": "kgf",
+    "lbf": "lbf",
 }  # fmt: skip
 """Units that names of columns carry as a word of theirs, in any letters."""
 _ENDINGS = ("mA", "mNm", "Nm", "Ncm", "kN", "mV", "turns", "revs", "cm")

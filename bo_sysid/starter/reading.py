@@ -35,6 +35,7 @@ _UNTOLD = 0.5  # the most that a unit which only the reach speaks for can be sur
 _CLOCKS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _USUAL = 5e-3  # [s] between samples: of units, that in which a step comes nearest
 _SHORTEST, _LONGEST = 8e-5, 0.4  # [s] between samples, of fast and slow logs
+_ROUNDED = 1.0  # by which a percentage may pass the largest
 _STEPPED = 0.7  # how sure a unit is for which the steps of a clock speak
 
 
@@ -100,6 +101,8 @@ def column_rule(table: RawTable, compiled: mujoco.MjModel, guess: Guess) -> tupl
         reason = f"{guess.reason}; {_TICK_GUESS}"
         guess = replace(guess, reason=reason, confidence=min(guess.confidence, _UNTOLD))
         rule |= _TICK_RULE
+    elif kind == "ctrl" and unit.quantity == "ratio" and _takes(compiled, element, table, guess):
+        pass  # of percent
     elif fits and (unit.factor != 1 or unit.quantity in _ELECTRIC):
         rule["unit"] = guess.unit
     elif unit.quantity != "angle" and (joint := _placed(compiled, kind, element)):
@@ -110,6 +113,13 @@ def column_rule(table: RawTable, compiled: mujoco.MjModel, guess: Guess) -> tupl
             guess = replace(guess, reason=reason, confidence=min(guess.confidence, _UNTOLD))
         rule |= made
     return rule, guess
+
+
+def _takes(compiled: mujoco.MjModel, actuator: str, table: RawTable, guess: Guess) -> bool:
+    """Whether a control is bounded by more than 1, and by no less than its column has."""
+    found = compiled.actuator(actuator)
+    most = float(np.abs(found.ctrlrange).max()) if found.ctrllimited[0] else 0.0
+    return most > max(1.0, float(np.nanmax(np.abs(table.column(guess.column)))) - _ROUNDED)
 
 
 def _placed(compiled: mujoco.MjModel, kind: str, element: str) -> str:

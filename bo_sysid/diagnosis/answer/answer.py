@@ -52,6 +52,18 @@ class Answer:
     unexplained: Unexplained
     next_experiment: Experiment | None
 
+    @property
+    def none_of_these(self) -> float:
+        """Probability that it is something that no set of known effects is."""
+        return sum(
+            float(a["probability"]) for a in self.alternatives if a["findings"] == [_STRANGER]
+        )
+
+    @property
+    def hinted(self) -> bool:
+        """Whether its names are hints and not yet findings."""
+        return bool(self.findings) and self.none_of_these >= _BESIDE_NAMES
+
     def as_json(self) -> dict[str, Any]:
         """Return the answer as `diagnosis.json` has it, without the hold-out."""
         return {

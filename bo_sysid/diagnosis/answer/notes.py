@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from bo_sysid.checks.channels import clipped
 from bo_sysid.checks.sensitivity import bounds_flags, listed
 from bo_sysid.diagnosis.answer.holdout import Holdout
 from bo_sysid.diagnosis.search.locate import Located
@@ -12,14 +13,23 @@ from bo_sysid.mjcf import nominal
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import held_notes, study_effects
 
+_MUCH = 0.05  # of the time
+
 
 def of_study(study: Study, evidence: Evidence) -> tuple[str, ...]:
     """Return what is not as a study asks."""
     return (
         *effects_without_site(study, evidence),
         *parameters_out_of_bounds(study, evidence),
+        *clipped_commands(evidence),
         *not_compared(evidence),
     )
+
+
+def clipped_commands(evidence: Evidence) -> tuple[str, ...]:
+    """Return which commands the model clips for much of the time, as of wrong units."""
+    flags = clipped(evidence.machine.model, evidence.recordings)
+    return tuple(f.sentence for f in flags if f.evidence["share"] > _MUCH)
 
 
 def not_compared(evidence: Evidence) -> tuple[str, ...]:
