@@ -53,6 +53,25 @@ def repaired(folder: Path, *parameters: dict[str, object]) -> list[dict[str, obj
     ]
 
 
+def test_positions_weigh_by_the_noise_that_was_seen_unless_the_study_states_one(
+    tmp_path: Path,
+) -> None:
+    write_recording(record(duration=1.0), tmp_path / "train.parquet")
+    arm().export(tmp_path / MODEL, [damped])
+    seen, none = {"qpos.shoulder": 4.56789e-4, "qpos.elbow": 5e-4}, Written((), {})
+    for stated in ({}, {"qpos.elbow": 1e-3, "qvel": 0.1}, {"qpos": 1e-3}):
+        content = {
+            "version": 1, "name": "arm", "model": str(ARM),
+            "recordings": {"train": ["train.parquet"], "noise": stated},
+        }  # fmt: skip
+        (tmp_path / "study.yaml").write_text(yaml.safe_dump(content))
+        text = study_text(Study.load(tmp_path / "study.yaml"), [FOUND], tmp_path, none, seen)
+        (tmp_path / "repaired.yaml").write_text(text)
+        noise = Study.load(tmp_path / "repaired.yaml").recordings.noise
+        own = {} if "qpos" in stated else {"qpos.shoulder": 4.57e-4, "qpos.elbow": 5e-4}
+        assert noise == {**own, **stated}
+
+
 def test_a_finding_becomes_a_parameter(tmp_path: Path) -> None:
     (made,) = repaired(tmp_path)
     assert made["address"] == ("joint[elbow].damping",)

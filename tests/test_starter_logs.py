@@ -154,6 +154,13 @@ def test_a_log_that_is_named_twice_is_not_held_out_from_itself(tmp_path: Path) -
     assert not (tmp_path / "wheel.yaml").exists()
 
 
+def test_logs_before_the_model_are_told_apart_from_it(tmp_path: Path) -> None:
+    for name in ("a.csv", "wheel.xml"):
+        (tmp_path / name).write_text("")
+    with pytest.raises(UserError, match=r"a\.csv: the model comes first.*init \S*wheel\.xml \S*a"):
+        init(tmp_path / "a.csv", [tmp_path / "wheel.xml"], tmp_path / "wheel.yaml")
+
+
 def test_a_clock_of_text_is_named_with_what_could_be_read(tmp_path: Path) -> None:
     rows = [f"12h00m00.{10 * k:03d}s,{np.sin(k)},{np.cos(k)}" for k in range(50)]
     (tmp_path / "log.csv").write_text("\n".join(["time,wheel_pos,wheel_torque", *rows]))

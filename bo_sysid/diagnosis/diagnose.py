@@ -153,7 +153,7 @@ def _repair(study: Study, run: Run | None, frozen: Frozen) -> tuple[str, ...]:
         evidence.given, evidence.machine, outcome.repaired, folder,
         timestep=outcome.timestep, laws=evidence.laws,
     )  # fmt: skip
-    text = study_text(study, answer.findings, run.folder, written)
+    text = study_text(study, answer.findings, run.folder, written, evidence.sigma)
     run.write_text(STUDY, text)
     controls = answer.next_experiment.controls if answer.next_experiment else None
     if controls is not None:

@@ -27,6 +27,8 @@ from bo_sysid.starter.signs import constants_told
 from bo_sysid.starter.supply import with_supply
 from bo_sysid.starter.write import relative, study_text
 
+_MODELS = (".xml", ".mjcf", ".urdf")
+
 
 @dataclass(frozen=True)
 class Started:
@@ -62,6 +64,7 @@ def init(
     if out.exists():
         raise UserError(f"{out}: exists; name another file with --out, or remove it")
     files = _different([Path(log) for log in logs])
+    _require_model_first(source, files)
     held = max(len(files) // 4, 1) if len(files) > 1 else 0
     train, holdout = files[: len(files) - held], files[len(files) - held :]
     tables = _require_same_columns([t for f in train for t in _read(f, rate)])
@@ -110,6 +113,15 @@ def _read(file: Path, rate: float) -> list[RawTable]:
     if not (math.isfinite(rate) and rate >= 0):
         raise UserError(f"--rate is {rate:g}; it must be a positive number of rows per second")
     return [t.counted(rate) if rate else t for t in read_tables(file)]
+
+
+def _require_model_first(model: Path, logs: Sequence[Path]) -> None:
+    """Raise where a model stands among the logs, and a log in its place."""
+    others = [f for f in logs if f.suffix.lower() in _MODELS]
+    if others and model.suffix.lower() not in _MODELS:
+        raise UserError(
+            f"{model}: the model comes first, then the logs: bo-sysid init {others[0]} {model} …"
+        )
 
 
 def _different(files: list[Path]) -> list[Path]:

@@ -1,7 +1,8 @@
 """The study on which `identify` and `learn` go on with a repaired model."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from bo_sysid.errors import ModelError
 from bo_sysid.intervals import Quantity
 from bo_sysid.mjcf import Address, Model
 from bo_sysid.mjcf.address import resolve
+from bo_sysid.recording.value import stated_for
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model
 from bo_sysid.yaml_text import dumped
@@ -56,6 +58,7 @@ def study_text(
     found: Sequence[Finding],
     folder: Path,
     written: Written,
+    noise: Mapping[str, float] = MappingProxyType({}),
 ) -> str:
     """Return the study that goes on with the repaired model: findings become parameters.
 
@@ -63,10 +66,23 @@ def study_text(
     joints that were added, which nothing measures. Where the study has a parameter at a finding's
     address, its bounds are widened to hold the repaired value; where it ties several numbers, the
     finding's leaves it. One that was the friction of a joint goes, where bristles have a part in
-    that, and one that the repaired model has no more; comments say why.
+    that, and one that the repaired model has no more; comments say why. Where the study states no
+    noise of a position it is the one of the diagnosis, so that positions weigh by it: beside them
+    speeds that a log differentiated would weigh as much by their spread.
+
+    Args:
+        study: what was diagnosed.
+        found: the findings.
+        folder: of the repaired model, which the study will lie beside.
+        written: what was written of the repaired model.
+        noise: σ by channel that the diagnosis saw, in the channels' units.
     """
     data: dict[str, Any] = {"version": 1} | study.resolved(relative_to=folder, defaults=False)
     data["name"] = f"{study.name}, repaired"
+    stated = study.recordings.noise
+    seen = {n: float(f"{s:.3g}") for n, s in noise.items() if stated_for(n, stated, None) is None}
+    if seen:
+        data["recordings"]["noise"] = {**stated, **seen}
     beside = list(data["model"].get("beside", ()))
     if written.beside:
         beside.append(BESIDE)
