@@ -53,5 +53,3 @@ def test_a_late_encoder_is_tried_for_a_late_command_of_another_slope() -> None:
     substitute(final, base)
     encoder = next(f for f in final.fits.values() if ("sensor_delay", "qpos.a") in f.names)
     assert abs(encoder.x[0][0] / LATE - 1) < 0.02
-    assert encoder.rss < base.rss + 2.0  # less: its log begins at rest, which no command explains
-    assert encoder.residual[0, 0] == 0.0  # what it shows there is from before the log

@@ -286,13 +286,11 @@ class Problem:
         self, hypothesis: Hypothesis, start: State, finer: int = 1
     ) -> Float[np.ndarray, "W R"]:
         """Return recorded minus predicted for every observation, in units of all noise."""
-        s = self.simulate(hypothesis, start, finer)
-        seen = self.seen(s.parts)
-        r = self._deviation(s, seen)
+        r = self.deviation(hypothesis, start, finer)
         if self.process is not None:
             r = self.process.whiten(r + self.process.drawn_response)
         if self.correction is not None and hypothesis.numerics:
-            r = r - hypothesis.numerics * self.correction * seen.reshape(r.shape)
+            r = r - hypothesis.numerics * self.correction
         return r
 
     def deviation(
@@ -300,13 +298,8 @@ class Problem:
     ) -> Float[np.ndarray, "W R"]:
         """Return recorded minus simulated for every observation, in sigma of the sensors."""
         s = self.simulate(hypothesis, start, finer)
-        return self._deviation(s, self.seen(s.parts))
-
-    def _deviation(
-        self, s: "Simulated", seen: Bool[np.ndarray, "W H c"]
-    ) -> Float[np.ndarray, "W R"]:
         shown = observe(self.layout, s.windows, s.trajectory, s.parts)
-        return self.weighted(np.where(seen, s.windows.residual(shown), 0.0))
+        return self.weighted(np.where(self.seen(s.parts), s.windows.residual(shown), 0.0))
 
     def as_recorded(
         self, hypothesis: Hypothesis, start: State, finer: int = 1
