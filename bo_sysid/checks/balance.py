@@ -128,6 +128,19 @@ class Dynamics:
             moment = np.einsum("nij,nui->nuj", Z, moment)
         return Terms(inertial, rest, qvel, qacc, bias, gain, moment, *self._ends)
 
+    def opening(self, qpos: Float[np.ndarray, "n nq"]) -> Float[np.ndarray, " _"]:
+        """Return how far from closed the loops stay at positions, in [m] or [rad].
+
+        The joints that follow are moved until they close, or as far as they can; empty without
+        loops.
+        """
+        loops = self.loops
+        if not loops:
+            return np.zeros(0)
+        qpos = loops.followed(qpos) if loops.silent else qpos
+        closed, _ = loops.closed(qpos, np.zeros((len(qpos), self.model.nv)))
+        return loops.opening(closed)
+
     def _on_loops(
         self, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -17,6 +17,7 @@ from bo_sysid.mjcf.commands import LAGS, controlled, driven_joint, follows
 from bo_sysid.mjcf.joints import HINGE
 from bo_sysid.simulation import Law, LawInputs
 
+_SOME = 10  # one of so many instants is looked at where one would do
 FLOOR = 1e-3  # what the model may leave unexplained of any balance
 
 Laws = Mapping[str, tuple[Law, tuple[str, ...]]]
@@ -161,6 +162,10 @@ class WiringEvidence:
         if wires not in self._terms:
             self._terms[wires] = self.dynamics.terms(*(self._motion(wires, k) for k in range(3)))
         return self._terms[wires]
+
+    def opening(self, hypothesis: WiringHypothesis) -> Float[np.ndarray, " _"]:
+        """Return how far from closed the model's loops stay at some of the recorded positions."""
+        return self.dynamics.opening(self._motion(self._measured(hypothesis), 0)[::_SOME])
 
     def physics(self, hypothesis: WiringHypothesis) -> Float[np.ndarray, "n nv p"]:
         """Return what may scale without a fault in the wiring.

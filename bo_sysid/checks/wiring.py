@@ -26,7 +26,9 @@ from bo_sysid.checks.speeds import speed_wires
 from bo_sysid.checks.traces import LATEST, Traces, interval
 from bo_sysid.checks.wiring_text import (
     balance_flags,
+    noise_flags,
     not_tested,
+    open_flags,
     speed_flags,
     twin_flags,
     untested_flags,
@@ -55,7 +57,8 @@ class Wiring:
         sigma: standard deviation of that delay, in [s].
         half_early: whether that delay is what is due to controls that change between samples.
         delays: one row a control: control, delay [ms], sigma [ms].
-        balance: one row a joint: joint, before and after (J, see balance.py), used.
+        balance: one row a joint: joint, before and after (J, see balance.py) and how much of
+            J is noise of the motion, which `after` is without; used.
         flags: what was found, in words.
     """
 
@@ -95,7 +98,8 @@ def find_wiring(
     found, twins = _searched(coarse, fine, first, progress)
     found, loads = without_loads(fine, found, first)
     found, late = _timed(fine, found)
-    left = _left(fine, found, late)
+    noise = fine.noise(found)
+    left = _left(fine, found, late, noise)
     speeds, correlations = speed_wires(traces, found, sorted(fine.hinges))
     wires = {n: w for n, w in {**found.wires, **speeds}.items() if not w.plain(n)}
     explained = {n: e for n, e in late.items() if left[fine.dof(n)] <= SUSPICIOUS}
@@ -103,7 +107,13 @@ def find_wiring(
     clock = clock_of(explained, least_delay(sampling, model.opt.timestep), sampling)
     stamped = fine.shares(before, [before.delay])[0]
     balance = pd.DataFrame(
-        {"joint": fine.joints, "before": stamped, "after": left, "used": fine.weights > 0}
+        {
+            "joint": fine.joints,
+            "before": stamped,
+            "after": left,
+            "noise": noise,
+            "used": fine.weights > 0,
+        }
     )
     table = pd.DataFrame(
         {
@@ -115,7 +125,7 @@ def find_wiring(
     gives = motors.in_words(fine, found, recordings)
     flags = [*wire_flags(wires, balance, gives), *loads, *clock_flags(clock, explained)]
     flags += [*twin_flags(twins), *speed_flags(correlations), *balance_flags(balance, fine.still)]
-    flags += untested_flags(fine)
+    flags += [*noise_flags(balance), *open_flags(fine, found), *untested_flags(fine)]
     return Wiring(
         wires, clock.delay, clock.common.sigma, clock.half_early, table, balance, tuple(flags)
     )
@@ -156,19 +166,22 @@ def _score(choice: tuple[mujoco.MjModel, Traces], laws: Laws | None) -> float:
 
 def _untested(reason: str, rates: tuple[Flag, ...]) -> Wiring:
     empty = pd.DataFrame({"control": [], "delay": [], "sigma": []})
-    balance = pd.DataFrame({"joint": [], "before": [], "after": [], "used": []})
+    balance = pd.DataFrame({"joint": [], "before": [], "after": [], "noise": [], "used": []})
     return Wiring({}, 0.0, np.inf, False, empty, balance, (not_tested(reason), *rates))
 
 
 def _left(
-    evidence: WiringEvidence, h: WiringHypothesis, late: Mapping[str, estimate.Estimate]
+    evidence: WiringEvidence,
+    h: WiringHypothesis,
+    late: Mapping[str, estimate.Estimate],
+    noise: Float[np.ndarray, " nv"],
 ) -> Float[np.ndarray, " nv"]:
     """Return J of each degree of freedom but for noise, with its own control as late as it acts."""
     left = evidence.shares(h, [h.delay])[0].copy()
     for name, e in late.items():
         j = evidence.dof(name)
         left[j] = min(left[j], evidence.shares(h, [e.value])[0, j])
-    return np.asarray(np.maximum(left - evidence.noise(h), 0.0))
+    return np.asarray(np.maximum(left - noise, 0.0))
 
 
 def _searched(

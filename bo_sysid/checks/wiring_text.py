@@ -19,6 +19,9 @@ _DOUBT = (
 LOADED = (
     "a load that the model lacks, as a tool, or a base that is not level may look like another zero"
 )
+_DROWNED = 0.5  # of the forces, which noise of the motion makes
+_OPEN = 1e-3  # [m] or [rad] by which a chain may stay open
+_OFTEN_OPEN = 0.02  # of the positions
 _CONSTANT = ", as the model's masses have it; a constant from a data sheet is better"
 
 
@@ -159,6 +162,50 @@ def balance_flags(balance: pd.DataFrame, still: Sequence[str] = ()) -> list[Flag
             {"share": share},
         )
         for joint, share in zip(bad["joint"], bad["after"], strict=True)
+    ]
+
+
+def drowned(balance: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of joints whose forces are drowned by noise of the motion."""
+    return balance[balance["used"].astype(bool) & (balance["noise"] > _DROWNED)]
+
+
+def noise_flags(balance: pd.DataFrame) -> list[Flag]:
+    """Return of which joints the balance says nothing, since noise makes most of it."""
+    joints = tuple(drowned(balance)["joint"])
+    if not joints:
+        return []
+    return [
+        Flag(
+            "look",
+            "balance",
+            joints,
+            f"Signs, units and zeros at {listed(joints)} are not tested: the noise of the recorded "
+            "motion makes forces as large as all others there. Scales or zeros may be wrong, or "
+            "the encoders too coarse for how slowly it moves.",
+            dict(zip(joints, drowned(balance)["noise"], strict=True)),
+        )
+    ]
+
+
+def open_flags(evidence: WiringEvidence, found: WiringHypothesis) -> list[Flag]:
+    """Return that a closed chain of the model cannot close where it was recorded."""
+    opening = evidence.opening(found)
+    share = float((opening > _OPEN).mean()) if opening.size else 0.0
+    if share < _OFTEN_OPEN:
+        return []
+    joints = tuple(j for j in evidence.joints if f"qpos.{j}" in evidence.recorded)
+    return [
+        Flag(
+            "wrong",
+            "balance",
+            joints,
+            f"At {share:.0%} of the recorded positions the model's closed chain cannot close; it "
+            f"stays open by up to {opening.max():.2g} m (or rad). Units, scales or zeros among "
+            f"{listed(joints)} are wrong, or lengths of the model: put them right first, since no "
+            "force says anything before.",
+            {"share": share, "opening": float(opening.max())},
+        )
     ]
 
 

@@ -6,6 +6,7 @@ import pandas as pd
 from bo_sysid.checks.check import Checked
 from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.search import SUSPICIOUS
+from bo_sysid.checks.wiring_text import drowned
 from bo_sysid.report.text import overview_text, table
 
 _NOTHING_TO_CORRECT = (
@@ -66,7 +67,8 @@ def checked_text(found: Checked, *, whole: bool = False) -> str:
 def _tested(found: Checked) -> bool:
     """Whether the motion could show a wrong channel: the model explains the forces."""
     used = found.wiring.balance[found.wiring.balance["used"].astype(bool)]
-    return len(used) > 0 and float(used["after"].max()) <= SUSPICIOUS
+    tested = len(used) > 0 and drowned(used).empty
+    return tested and float(used["after"].max()) <= SUSPICIOUS
 
 
 def _motion(found: Checked) -> pd.DataFrame:
