@@ -197,6 +197,9 @@ def test_candidates_that_are_all_worse_than_the_model_as_it_is_are_said(
     )  # fmt: skip
     words = "(qpos.wheel: 0.018 rad, and 0.58 with the best of them)"
     assert [words in s for s in found.unsure] == [True] * said
+    assert ["refine: true" in s for s in found.unsure] == [True] * said
+    zoomed = pd.DataFrame({"level": [0, 1], "deviation": [2.0, 1.0]})
+    assert not any("refine: true" in s for s in replace(found, evaluations=zoomed).unsure)
 
 
 @pytest.mark.parametrize(("wheel", "said"), [(250.0, True), (2.0, False)])

@@ -20,7 +20,14 @@ _MOVED = 1.96  # standard deviations, by which values lie outside an interval fo
 _READ = 1e6  # largest number that is written out
 
 
-def worse(errors: pd.DataFrame, parameters: pd.DataFrame, best: float, nominal: float) -> str:
+def worse(
+    errors: pd.DataFrame,
+    parameters: pd.DataFrame,
+    best: float,
+    nominal: float,
+    *,
+    refined: bool = False,
+) -> str:
     """Return that the model as it is fits the training recordings better than every candidate.
 
     Where it does so in all channels, or lies outside the intervals.
@@ -30,6 +37,7 @@ def worse(errors: pd.DataFrame, parameters: pd.DataFrame, best: float, nominal: 
         parameters: columns name, nominal, low95 and high95.
         best: smallest Δ of the candidates.
         nominal: Δ of the model as it is; NaN where it is not known.
+        refined: whether the search zoomed in already.
     """
     if not errors.empty and is_worse(errors):
         known = errors[["channel", "unit", "nominal", "identified"]].dropna()
@@ -39,8 +47,7 @@ def worse(errors: pd.DataFrame, parameters: pd.DataFrame, best: float, nominal: 
             "The model as it is fits the training recordings better than every candidate that was "
             f"tried ({row['channel']}: {row['nominal']:.3g} {row['unit']}, and "
             f"{row['identified']:.3g} with the best of them): use none of these values. "
-            "Candidates are too far apart; `search: {refine: true}` zooms in on the best ones, and "
-            "narrower bounds help."
+            f"Candidates are too far apart: {_nearer(refined)}."
         )
     if not nominal < best:
         return ""
@@ -52,11 +59,17 @@ def worse(errors: pd.DataFrame, parameters: pd.DataFrame, best: float, nominal: 
     return (
         f"The model as it is ({values}) fits the training recordings better than every candidate "
         f"that was tried (deviation {nominal:.4g}, and {best:.4g} with the best of them): "
-        "candidates are too far apart; `search: {refine: true}` zooms in."
+        f"candidates are too far apart: {_nearer(refined)}."
     )
 
 
-def moved(parameters: pd.DataFrame, other: FittedStarts | None) -> str:
+def _nearer(refined: bool) -> str:
+    """Return what brings candidates nearer to each other."""
+    zoom = "narrower bounds or a larger search.budget help"
+    return zoom if refined else f"`search: {{refine: true}}` zooms in, and {zoom}"
+
+
+def moved(parameters: pd.DataFrame, other: FittedStarts | None, *, refined: bool = False) -> str:
     """Return which values would fit best outside their intervals, and why.
 
     Noise of measured starts moves values; of fitted ones candidates are too far apart.
@@ -64,6 +77,7 @@ def moved(parameters: pd.DataFrame, other: FittedStarts | None) -> str:
     Args:
         parameters: columns name, unit, low95 and high95.
         other: what would fit best with fitted starts; None where that is not known.
+        refined: whether the search zoomed in already.
     """
     if other is None:
         return ""
@@ -82,8 +96,7 @@ def moved(parameters: pd.DataFrame, other: FittedStarts | None) -> str:
     if not other.measured:
         return (
             f"Between the candidates {' and '.join(each)} would fit best, outside {intervals}: "
-            "candidates are too far apart, and `search: {refine: true}` zooms in (or the model "
-            "lacks something)."
+            f"candidates are too far apart: {_nearer(refined)} (or the model lacks something)."
         )
     return (
         f"With the start of every window fitted, and not measured, {' and '.join(each)} would fit "

@@ -97,6 +97,12 @@ class Identification:
         )
 
     @property
+    def refined(self) -> bool:
+        """Whether the search zoomed in on its best candidates."""
+        levels = self.evaluations.get("level", pd.Series(dtype=int))
+        return bool(levels.max() > levels.min())
+
+    @property
     def unsure(self) -> tuple[str, ...]:
         """What these recordings do not tell about the parameters, in words.
 
@@ -110,8 +116,8 @@ class Identification:
         ended = self.reason != StopReason.BUDGET.sentence or self.probabilities.max() > _SURE
         here = (self.candidates.points == self.best).all(axis=1)
         found = (
-            doubts.worse(trained, table, deviation, self.nominal_deviation),
-            doubts.moved(table, self.fitted_starts),
+            doubts.worse(trained, table, deviation, self.nominal_deviation, refined=self.refined),
+            doubts.moved(table, self.fitted_starts, refined=self.refined),
             doubts.unexplained(trained, self.noise),
             *(doubts.wide(rows) if ended else doubts.cut_short(rows)),
             *doubts.tied(rows),
