@@ -82,6 +82,18 @@ def test_joints_lie_where_kinematics_puts_them() -> None:
     assert find_site(posed, "body", "forearm").geoms == (posed.model.geom("forearm").id,)
 
 
+def test_a_load_is_pointed_at_where_it_is() -> None:
+    text = """<mujoco><worldbody><body name="beam" pos="0 0 1"><joint name="a" axis="0 -1 0"/>
+      <geom type="capsule" fromto="0 0 0 .4 0 0" size=".01" mass="1"/>
+      {}</body></worldbody></mujoco>"""
+    point_mass = '<inertial pos="0 0 0" mass=".1" diaginertia="0 0 0"/>'
+    load = f'<body name="beam_payload" pos=".4 0 0">{point_mass}</body>'
+    pose = {"qpos.a": np.pi / 2}
+    for more, reach in (("", 0.2), (load, 0.4)):
+        point = find_site(Posed.of(Model.from_xml(text.format(more)), pose), "body", "beam").point
+        np.testing.assert_allclose(point, [0, 0, 1 + reach], atol=1e-9)
+
+
 @pytest.mark.parametrize("count", [1, 2, 4])
 def test_words_of_sites_stand_in_a_list_and_their_numbers_at_the_sites(count: int) -> None:
     posed = Posed.of(Model.from_file(ARM), POSE)

@@ -58,9 +58,14 @@ def _carried(site: Site, machine: Machine) -> float:
     return float(machine.model.body_mass[load]) if load >= 0 else 0.0
 
 
+def payload_name(body: str) -> str:
+    """Return how the body of a load on a body is called."""
+    return f"{body}_payload"
+
+
 def _body_of_payload(site: Site, machine: Machine) -> int:
     """Return the number of the body that bears a payload's name, -1 where there is none."""
-    name = f"{site.name}_payload"
+    name = payload_name(site.name)
     return int(mujoco.mj_name2id(machine.model, mujoco.mjtObj.mjOBJ_BODY, name))
 
 
@@ -122,7 +127,7 @@ def payload(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) ->
 
     One that the model has there already stays where it is.
     """
-    name = f"{site.name}_payload"
+    name = payload_name(site.name)
     load = spec.body(name)
     if load is None:
         place = [float(d) for d in x[1:]] or list(machine.bodies[site.name].tip)

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, QhullError
 
+from bo_sysid.effects.inertia import payload_name
 from bo_sysid.mjcf import Loops, Model
 from bo_sysid.mjcf.commands import driven_joint
 from bo_sysid.mjcf.joints import HINGE
@@ -107,7 +108,10 @@ class Site:
 
 
 def find_site(posed: Posed, kind: str, name: str) -> Site:
-    """Return where a site of a finding is; the machine as a whole where it is nowhere."""
+    """Return where a site of a finding is; the machine as a whole where it is nowhere.
+
+    A body with a load is pointed at where that is.
+    """
     model = posed.model
     joint = _joint_of(model, kind, name)
     if joint is not None:
@@ -117,7 +121,9 @@ def find_site(posed: Posed, kind: str, name: str) -> Site:
     if kind == "body" and _has(model, mujoco.mjtObj.mjOBJ_BODY, name):
         body = model.body(name).id
         own = tuple(int(g) for g in np.flatnonzero(model.geom_bodyid == body))
-        return Site(f"{kind} {name}", np.array(posed.data.xipos[body]), own)
+        load = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, payload_name(name))
+        place = posed.data.xipos[body] if load < 0 else posed.data.xpos[load]
+        return Site(f"{kind} {name}", np.array(place), own)
     if kind == "geom" and _has(model, mujoco.mjtObj.mjOBJ_GEOM, name):
         geom = model.geom(name).id
         return Site(f"{kind} {name}", np.array(posed.data.geom_xpos[geom]), (geom,))
