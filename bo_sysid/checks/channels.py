@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from bo_sysid.checks.flags import Flag
-from bo_sysid.mjcf.commands import controlled
+from bo_sysid.mjcf.commands import control_limits, controlled
 from bo_sysid.recording import Channel, Recording, Sampling, kind_of
 from bo_sysid.recording.alignment import GAP
 from bo_sysid.recording.outliers import CLEAR, find_outliers
@@ -49,12 +49,12 @@ def clipped(model: mujoco.MjModel, recordings: Sequence[Recording]) -> list[Flag
 
 
 def _ranges(model: mujoco.MjModel) -> dict[str, tuple[float, float]]:
-    """Return the control ranges of a model by channel, where it has some."""
-    return {
-        f"ctrl.{model.actuator(a).name}": tuple(model.actuator_ctrlrange[k])
+    """Return the ends to which a model clips its controls, by channel."""
+    ends = {
+        f"ctrl.{model.actuator(a).name}": control_limits(model, k)
         for k, a in enumerate(controlled(model))
-        if model.actuator_ctrllimited[k]
     }
+    return {name: limits for name, limits in ends.items() if limits is not None}
 
 
 def _saturated(

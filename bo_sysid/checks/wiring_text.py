@@ -172,7 +172,8 @@ def drowned(balance: pd.DataFrame) -> pd.DataFrame:
 
 def noise_flags(balance: pd.DataFrame) -> list[Flag]:
     """Return of which joints the balance says nothing, since noise makes most of it."""
-    joints = tuple(drowned(balance)["joint"])
+    rows = drowned(balance)
+    joints = tuple(rows["joint"])
     if not joints:
         return []
     return [
@@ -183,7 +184,7 @@ def noise_flags(balance: pd.DataFrame) -> list[Flag]:
             f"Signs, units and zeros at {listed(joints)} are not tested: the noise of the recorded "
             "motion makes forces as large as all others there. Scales or zeros may be wrong, or "
             "the encoders too coarse for how slowly it moves.",
-            dict(zip(joints, drowned(balance)["noise"], strict=True)),
+            dict(zip(joints, rows["noise"], strict=True)),
         )
     ]
 
@@ -200,10 +201,10 @@ def open_flags(evidence: WiringEvidence, found: WiringHypothesis) -> list[Flag]:
             "wrong",
             "balance",
             joints,
-            f"At {share:.0%} of the recorded positions the model's closed chain cannot close; it "
-            f"stays open by up to {opening.max():.2g} m (or rad). Units, scales or zeros among "
-            f"{listed(joints)} are wrong, or lengths of the model: put them right first, since no "
-            "force says anything before.",
+            f"At {100 * share:.0f} % of the recorded positions the model's closed chain cannot "
+            f"close; it stays open by up to {opening.max():.2g} m (or rad). Units, scales or zeros "
+            f"among {listed(joints)} are wrong, or lengths of the model: put them right first, "
+            "since no force says anything before.",
             {"share": share, "opening": float(opening.max())},
         )
     ]

@@ -87,30 +87,17 @@ class Engine:
         Returns:
             The trajectory; a simulation that diverges is flagged, never raised.
         """
-        groups = _of_one_layout(models)
-        if len(groups) < 2:
-            return self._rollout(models, start, ctrl, force, laws, signals or {}, sensors)
-        parts = []
-        for rows in groups:
-            own_force = None if force is None else force[rows]
-            own_signals = {name: values[rows] for name, values in (signals or {}).items()}
-            own, states = [models[w] for w in rows], start.rows(rows)
-            parts.append(
-                self._rollout(own, states, ctrl[rows], own_force, laws, own_signals, sensors)
-            )
-        return Trajectory.concatenated(parts).rows(np.argsort(np.concatenate(groups)))
-
-    def _rollout(
-        self,
-        models: mujoco.MjModel | Sequence[mujoco.MjModel],
-        start: State,
-        ctrl: Ctrl,
-        force: Float[np.ndarray, "W S nv"] | None,
-        laws: Sequence[Controller | ForceLaw],
-        signals: Mapping[str, Float[np.ndarray, "W S"]],
-        sensors: bool,
-    ) -> Trajectory:
-        """Simulate with models of one layout; see `rollout`."""
+        signals, groups = signals or {}, _of_one_layout(models)
+        if len(groups) > 1:
+            parts = [
+                self.rollout(
+                    [models[w] for w in rows], start.rows(rows), ctrl[rows],
+                    force=None if force is None else force[rows], laws=laws,
+                    signals={n: x[rows] for n, x in signals.items()}, sensors=sensors,
+                )
+                for rows in groups
+            ]  # fmt: skip
+            return Trajectory.concatenated(parts).rows(np.argsort(np.concatenate(groups)))
         batch = self._prepare(models, start, ctrl[:, :1])
         before = _warnings(batch)
         with quietly():
@@ -149,25 +136,15 @@ class Engine:
             those that diverged.
         """
         groups = _of_one_layout(models)
-        if len(groups) < 2:
-            return self._final(models, start, ctrl, steps)
-        states = np.zeros(
-            (len(start), sum(a.shape[1] for a in (start.qpos, start.qvel, start.act)))
-        )
-        diverged = np.zeros(len(start), bool)
-        for rows in groups:
-            own = [models[w] for w in rows]
-            states[rows], diverged[rows] = self._final(own, start.rows(rows), ctrl[rows], steps)
-        return states, diverged
-
-    def _final(
-        self,
-        models: mujoco.MjModel | Sequence[mujoco.MjModel],
-        start: State,
-        ctrl: Float[np.ndarray, "W nu"],
-        steps: int,
-    ) -> tuple[Float[np.ndarray, "W n"], Bool[np.ndarray, " W"]]:
-        """Simulate with models of one layout; see `final`."""
+        if len(groups) > 1:
+            parts = []
+            for rows in groups:
+                own = [models[w] for w in rows]
+                states, diverged = self.final(own, start.rows(rows), ctrl[rows], steps)
+                parts.append((states.copy(), diverged))
+            order = np.argsort(np.concatenate(groups))
+            states, diverged = (np.concatenate(p)[order] for p in zip(*parts, strict=True))
+            return states, diverged
         batch = self._prepare(models, start, ctrl[:, None])
         before = _warnings(batch)
         if batch.model.nu:

@@ -101,10 +101,10 @@ def column_rule(table: RawTable, compiled: mujoco.MjModel, guess: Guess) -> tupl
         reason = f"{guess.reason}; {_TICK_GUESS}"
         guess = replace(guess, reason=reason, confidence=min(guess.confidence, _UNTOLD))
         rule |= _TICK_RULE
-    elif kind == "ctrl" and unit.quantity == "ratio" and _takes(compiled, element, table, guess):
-        pass  # of percent
     elif fits and (unit.factor != 1 or unit.quantity in _ELECTRIC):
-        rule["unit"] = guess.unit
+        ratio = unit.quantity == "ratio"
+        if not (ratio and _takes_percent(compiled, element, table.column(guess.column))):
+            rule["unit"] = guess.unit
     elif unit.quantity != "angle" and (joint := _placed(compiled, kind, element)):
         made, reach = _by_reach(table, compiled, joint, guess.column)
         if made:
@@ -115,11 +115,11 @@ def column_rule(table: RawTable, compiled: mujoco.MjModel, guess: Guess) -> tupl
     return rule, guess
 
 
-def _takes(compiled: mujoco.MjModel, actuator: str, table: RawTable, guess: Guess) -> bool:
+def _takes_percent(compiled: mujoco.MjModel, actuator: str, column: np.ndarray) -> bool:
     """Whether a control is bounded by more than 1, and by no less than its column has."""
     found = compiled.actuator(actuator)
     most = float(np.abs(found.ctrlrange).max()) if found.ctrllimited[0] else 0.0
-    return most > max(1.0, float(np.nanmax(np.abs(table.column(guess.column)))) - _ROUNDED)
+    return most > max(1.0, float(np.nanmax(np.abs(column))) - _ROUNDED)
 
 
 def _placed(compiled: mujoco.MjModel, kind: str, element: str) -> str:

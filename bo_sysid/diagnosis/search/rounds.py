@@ -137,14 +137,13 @@ def substitute(search: Search, base: Fit) -> None:
     parts = [p for u in units_of(base) for p in ([u] if len(u) > _PAIR else [(k,) for k in u])]
     for part in parts:
         rest = all_but(base, part)
-        top = _SUBSTITUTES if len(part) == 1 else _GROUP_SUBSTITUTES
-        lefts = _left_without(search, screen, base, part)
-        for sets in (sets for left in lefts for sets in _as_good(search, left, base, part)):
-            kinds = [(sets, top)]
-            if len(part) == 1:
-                kinds = [(alone(sets), top), (with_group(sets), _GROUP_SUBSTITUTES)]
-            for some, most in kinds:
-                _run(search, some, most, base, rest, effort=effort, anew=touching)
+        for left in _left_without(search, screen, base, part):
+            for sets in _as_good(search, left, base, part):
+                kinds = [(sets, _GROUP_SUBSTITUTES)]
+                if len(part) == 1:
+                    kinds = [(alone(sets), _SUBSTITUTES), (with_group(sets), _GROUP_SUBSTITUTES)]
+                for some, most in kinds:
+                    _run(search, some, most, base, rest, effort=effort, anew=touching)
 
 
 def _left_without(search: Search, screen: Screen, base: Fit, part: tuple[int, ...]) -> list[Screen]:

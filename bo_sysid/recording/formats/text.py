@@ -99,7 +99,7 @@ def _require_closed_quotes(path: Path, body: str, rows: int) -> None:
         return
     lines = [line for line in body.split("\n") if line.strip("\r")]
     if rows < len(lines):
-        row = next(k for k, line in enumerate(lines, 1) if line.count('"') % 2)
+        row = next((k for k, line in enumerate(lines, 1) if line.count('"') % 2), 1)
         raise RecordingError(
             f"{path}: row {row}: a quote that is not closed on its line would take the next line "
             "into its cell; close it, or write the cell without quotes"
