@@ -35,7 +35,7 @@ def cut(
     recordings: Sequence[Recording],
     *,
     horizon: int | Sequence[int],
-    stride: int | None = None,
+    stride: int | Sequence[int] | None = None,
     timestep: float | None = None,
     signals: Sequence[str] = (),
     controlled: Sequence[str] = (),
@@ -53,7 +53,8 @@ def cut(
         model: the model that will predict.
         recordings: what was recorded.
         horizon: number H of instants after each start, or one number for each recording.
-        stride: instants from one start to the next; by default `horizon` (disjoint windows).
+        stride: instants from one start to the next, of all or of each recording; by default
+            `horizon` (disjoint windows).
         timestep: of the simulation in [s]; by default the model's.
         signals: further held channels that laws read; `ELAPSED` is the time since the recording
             began.
@@ -67,11 +68,12 @@ def cut(
     compiled = model.compile(room_for_delays(model, parameters), timestep=timestep)
     layout = Layout.of(model, compiled)
     horizons = [horizon] * len(recordings) if isinstance(horizon, int) else horizon
+    strides = [stride] * len(recordings) if isinstance(stride, int) else stride or horizons
     pieces = []
-    for number, (recording, own) in enumerate(zip(recordings, horizons, strict=True)):
-        cutter = _Cutter(
-            model, compiled, layout, own, stride or own, tuple(signals), tuple(controlled)
-        )
+    for number, (recording, own, apart) in enumerate(
+        zip(recordings, horizons, strides, strict=True)
+    ):
+        cutter = _Cutter(model, compiled, layout, own, apart, tuple(signals), tuple(controlled))
         pieces.append(cutter.cut(recording, number))
     channels = sorted(set().union(*(p.channels for p in pieces)), key=_order(layout))
     steps = max(p.steps for p in pieces)

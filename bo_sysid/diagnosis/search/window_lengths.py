@@ -58,6 +58,7 @@ def windows_of(evidence: Evidence, horizon: int, step: float, everything: bool =
         evidence.sigma,
         evidence.nuisances,
         horizon=evidence.horizons(horizon, LEAST),
+        lead=evidence.leads(horizon),
         keep_every=keep_every,
         timestep=step,
         engine=evidence.engine,

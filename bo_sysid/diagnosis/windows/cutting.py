@@ -27,6 +27,7 @@ def cut_problem(
     nuisances: Sequence[Candidate],
     *,
     horizon: int | Sequence[int],
+    lead: Sequence[int] | None = None,
     keep_every: int = 1,
     timestep: float | None = None,
     engine: Engine,
@@ -44,6 +45,8 @@ def cut_problem(
         nuisances: the study's parameters.
         horizon: instants in a window, of observed channels and positions; one number for all
             recordings, or one for each.
+        lead: instants of each recording before those, from where its windows begin on; what they
+            show is compared in the window before.
         keep_every: keep each so-many-th of the disjoint windows.
         timestep: of the simulation in [s]; by default the model's.
         engine: simulates.
@@ -51,17 +54,22 @@ def cut_problem(
         kept: long fits of a diagnosis that was killed.
         input_noise: σ of what recorded controls show and the machine did not get, by actuator.
     """
+    each = [horizon] * len(recordings) if isinstance(horizon, int) else horizon
+    before = np.array(lead or [0] * len(recordings))
     windows = cut(
         model,
         at_positions(model, recordings, sigma),
-        horizon=horizon,
+        horizon=[h + int(b) for h, b in zip(each, before, strict=True)],
+        stride=each,
         timestep=timestep,
         signals=(*machine.inputs, ELAPSED),
         controlled=[w.actuator for w in laws if isinstance(w, Controller)],
     )
     windows = windows.rows(np.arange(0, len(windows), keep_every)).among(sigma)
     recorded = {n.removeprefix("qpos.") for n in windows.channels}
-    weight = np.isfinite(windows.observed) / noise_of(windows, recordings, sigma)
+    compared = np.arange(windows.observed.shape[1]) >= before[windows.recording, None]
+    seen = np.isfinite(windows.observed) & compared[..., None]
+    weight = seen / noise_of(windows, recordings, sigma)
     return Problem(
         model=model,
         machine=machine,

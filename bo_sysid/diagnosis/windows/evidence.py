@@ -24,6 +24,7 @@ CONTACT_WINDOW = 0.1
 """Length in [s] of a window where contact decides."""
 
 _WINDOW = 0.3  # [s]
+_WHOLE = 1e-9  # instants, by which what is a whole number of them may be off
 _STILL = 1.5  # [sigma] of an encoder, below which a joint's positions vary by noise alone
 
 
@@ -47,6 +48,7 @@ class Evidence:
         skipped_start: time in [s] after a log's first command in which nothing is compared.
         input_noise: σ of what recorded controls show and the machine did not get, by actuator.
         too_short: names of recordings that are left out, since they hold no window.
+        lead: time in [s] from where windows begin until what is compared there.
     """
 
     model: Model
@@ -64,6 +66,7 @@ class Evidence:
     skipped_start: float = 0.0
     input_noise: Mapping[str, float] = field(default_factory=dict)
     too_short: tuple[str, ...] = ()
+    lead: float = 0.0
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -105,6 +108,21 @@ class Evidence:
         compared = {*self.model.qpos_channels, *self.sigma}
         each = instants_each(instants, self.machine.sampling, self.recordings, compared)
         return [h if h == instants else max(h, least) for h in each]
+
+    def leads(self, horizon: int) -> list[int]:
+        """Return the instants of each recording from where a window begins until it is compared.
+
+        None in one that is too short for two such windows.
+
+        Args:
+            horizon: instants that are compared in a window of a recording of the usual rate.
+        """
+        lead = int(np.ceil(self.lead / self.machine.sampling - _WHOLE))
+        each = self.horizons(lead, 1) if lead else [0] * len(self.recordings)
+        whole = (lead + horizon) * self.machine.sampling
+        return [
+            n if r.duration > 2 * whole else 0 for n, r in zip(each, self.recordings, strict=True)
+        ]
 
     def with_contact_of(self, recordings: Sequence[Recording]) -> "Evidence":
         """Return the same with the contact and the impacts of others, where it has none so far."""
