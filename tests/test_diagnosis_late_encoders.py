@@ -71,7 +71,9 @@ def test_a_late_encoder_explains_what_was_recorded_as_well_as_a_late_command() -
     does not follow from how it moves there.
     """
     evidence = evidence_of(recorded(0))
-    search = Search.on(prepare(windows_of(evidence, HORIZON, STEP)), list(evidence.candidates), 2, None)
+    search = Search.on(
+        prepare(windows_of(evidence, HORIZON, STEP)), list(evidence.candidates), 2, None
+    )
     for effect in ("actuator_delay", "sensor_delay"):
         c = next(c for c in search.candidates if c.effect.id == effect)
         search.fit([c], [np.array([LATE])])

@@ -7,12 +7,14 @@ import pytest
 from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.windows.evidence import make_evidence
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
+from bo_sysid.effects import CATALOGUE, Site, survey
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Channel, Recording
-from bo_sysid.simulation import Engine, MujocoSimulator
+from bo_sysid.simulation import Engine, ForceLaw, MujocoSimulator, State
 from bo_sysid.simulation.cutting import cut
 from bo_sysid.simulation.delays import load_past, remembered_steps
+from bo_sysid.simulation.lockstep import force_laws
 
 STEP = 0.002
 TWO = """<mujoco><option timestep="0.002"/><worldbody><body><joint name="a" axis="0 1 0"/>
@@ -189,3 +191,43 @@ def test_what_a_late_sensor_shows_of_before_a_window_is_not_compared(
     np.testing.assert_array_equal(seen[..., far], np.repeat(shown[..., None], 3, axis=2))
     told = [n for n in windows.left_out if "what was before it, by the sensor's delay" in n]
     assert len(told) == 3
+
+
+@pytest.mark.parametrize(
+    ("delay", "samples", "interp"),
+    [(0.0071, 5, "linear"), (0.008, 3, "zoh"), (0.0071, 7, "zoh"), (0.003, 2, "linear")],
+)
+def test_a_law_sees_the_control_that_a_delayed_actuator_acts_on(
+    delay: float, samples: int, interp: str
+) -> None:
+    """A law that undoes what the motor does leaves a joint at rest, to the last bit."""
+    late = f' delay="{delay}" nsample="{samples}" interp="{interp}" ctrlrange="-1 1"'
+    compiled = Model.from_xml(ONE.format(late=late).replace('damping=".1"', "")).compile()
+    u, none = np.random.default_rng(0).normal(size=(2, 40, 1)), np.zeros((2, 1))
+    past = np.random.default_rng(1).normal(size=(2, samples, 1))
+    start = State(none, none, np.zeros((2, 0)), past=past)
+    against = ForceLaw("a", lambda i: -i.act["late"])
+    moved = Engine(1).rollout(compiled, start, u)
+    assert np.abs(moved.qvel[:, -1]).min() > 1e-3
+    still = Engine(1).rollout(compiled, start, u, laws=[against])
+    assert np.abs(still.qvel).max() < 1e-15
+
+
+def test_friction_grows_with_the_load_that_a_delayed_motor_makes() -> None:
+    """A late motor with load-dependent friction moves as one that is told late."""
+    time = np.arange(0, 2, 0.004)
+    told = np.sin(9 * time) + 0.5 * np.sin(23 * time)
+    late = np.concatenate([np.zeros(3), told])[: len(time)]
+    moved = []
+    for attributes, sent in ((' delay=".012" nsample="4" interp="linear"', told), ("", late)):
+        model = Model.from_xml(ONE.format(late=attributes))
+        recording = Recording.from_arrays(time, qpos={"a": 0 * time}, ctrl={"late": sent})
+        machine = survey(model.compile(), [recording])
+        effect = CATALOGUE["load_dependent_friction"]
+        spec = model.spec()
+        part = effect.apply(spec, Site("joint", "a"), np.array([0.2]), machine)
+        laws = force_laws([part])
+        start = State(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 0)))
+        moved.append(Engine(1).rollout(spec.compile(), start, sent[None, :, None], laws=laws).qpos)
+    assert np.ptp(moved[1]) > 0.01
+    assert np.abs(moved[0] - moved[1]).max() < 1e-9 * np.ptp(moved[1])

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from mujoco import batch
 
-from bo_sysid.simulation.lockstep import ForceLaw, LockStep
+from bo_sysid.simulation.lockstep import ForceLaw, LockStep, live_arrays
 
 _BAD_STATE = [
     int(mujoco.mjtWarning.mjWARN_BADQPOS),
@@ -96,10 +96,7 @@ class Simulations:
     def begin_laws(self) -> None:
         """Let the laws forget all simulations."""
         if self._laws:
-            views = {name: self._batch.bind(name) for name in ("qpos", "qvel", "ctrl")}
-            views["qfrc_applied"] = self._batch.bind("qfrc_applied")
-            if self.model.na:
-                views["act"] = self._batch.bind("act")
+            views = live_arrays(self.model, self._batch.bind)
             self._lockstep = LockStep(self.model, self._laws, {}, views, None)
             self._lockstep_counts[:] = 0
 

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, Int
 
-from bo_sysid.mjcf.commands import controlled
+from bo_sysid.mjcf.commands import control_limits, controlled
 
 _ON_STEP = 1e-6  # of a step, by which a sum of steps may miss a delay
 
@@ -36,6 +36,44 @@ def load_past(
             own = np.maximum(np.arange(past.shape[1] - count, past.shape[1]), 0)
             first = int(model.actuator_historyadr[a]) + 2 + count
             history[:, first : first + count] = past[:, own, k]
+
+
+def delayed_commands(
+    model: mujoco.MjModel, history: Float[np.ndarray, "W nh"]
+) -> dict[str, Float[np.ndarray, " W"]]:
+    """Return the controls on which delayed actuators act in the step that comes, by name.
+
+    As MuJoCo reads them: t - delay lies between two samples of the buffer, of which the earlier one
+    holds, or both are interpolated, linearly here. An actuator that acts on an activation is left
+    out: that is the simulation's, and delayed already.
+
+    Args:
+        model: that has them.
+        history: the buffers of W simulations before that step: its newest sample is the last one's.
+    """
+    acting = {}
+    for k, a in enumerate(controlled(model)):
+        count, interp = model.actuator_history[a].tolist()
+        if not count or model.actuator_actnum[a]:
+            continue
+        first = int(model.actuator_historyadr[a]) + 2
+        time, sent = (
+            history[:, first : first + count],
+            history[:, first + count : first + 2 * count],
+        )
+        order = np.argsort(time, axis=1)
+        time, sent = (np.take_along_axis(x, order, axis=1) for x in (time, sent))
+        dt = float(model.opt.timestep)
+        at = time[:, -1:] + dt - float(model.actuator_delay[a])
+        before = np.maximum((time <= at + _ON_STEP * dt).sum(axis=1, keepdims=True) - 1, 0)
+        after = np.minimum(before + 1, count - 1) if interp else before
+        (t0, u0), (t1, u1) = (
+            [np.take_along_axis(x, i, axis=1) for x in (time, sent)] for i in (before, after)
+        )
+        share = np.clip((at - t0) / np.where(t1 > t0, t1 - t0, 1.0), 0.0, 1.0)
+        low, high = control_limits(model, k) or (-np.inf, np.inf)
+        acting[model.actuator(a).name] = np.clip(u0 + share * (u1 - u0), low, high)[:, 0]
+    return acting
 
 
 def mask_pre_window_samples(

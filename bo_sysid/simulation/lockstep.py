@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 from bo_sysid.effects.parts import Force, Part
 from bo_sysid.mjcf.commands import controlled, lags
 from bo_sysid.mjcf.joints import SCALAR
+from bo_sysid.simulation.delays import delayed_commands
 
 Signal = Float[np.ndarray, " W"]
 Rows = slice | Int[np.ndarray, " r"]
@@ -35,7 +36,8 @@ class LawInputs:
         timestep: time until the next evaluation in [s].
         memory: a dictionary of the law's own, empty at the start of every roll-out; a law with
             history keeps its arrays here.
-        act: activation of each actuator whose force lags behind its control, by name, `W`.
+        act: of each actuator whose force lags behind its control the activation, of each delayed
+            one the control that it acts on now, by name, `W`.
     """
 
     time: Signal
@@ -84,6 +86,18 @@ def force_laws(parts: Sequence[Part]) -> tuple[ForceLaw, ...]:
     return tuple(ForceLaw(p.joint, p.law, p.hold) for p in parts if isinstance(p, Force))
 
 
+def live_arrays(model: mujoco.MjModel, bind: Callable[[str], np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the arrays of a batch that laws read and write.
+
+    Args:
+        model: the compiled model.
+        bind: returns the live array of a name, one row for each simulation.
+    """
+    names = ["qpos", "qvel", "ctrl", "qfrc_applied"]
+    names += [n for n, size in (("act", model.na), ("history", model.nhistory)) if size]
+    return {n: bind(n) for n in names}
+
+
 def steps_held(laws: Sequence[Controller | ForceLaw], timestep: float) -> int:
     """Return over how many steps all laws may hold what they returned, at least one."""
     holds = [w.hold if isinstance(w, ForceLaw) else 0.0 for w in laws]
@@ -108,12 +122,11 @@ class LockStep:
             model: the compiled model.
             laws: in the order in which they act.
             signals: recorded inputs by channel name.
-            views: live arrays of the batch: qpos, qvel, ctrl and qfrc_applied; act, too, where the
-                model has activations.
+            views: see `live_arrays`; without act or history nothing lags, or is delayed.
             force: generalised forces that act beside the laws.
             every: steps from one evaluation to the next.
         """
-        self._laws = laws
+        self._model, self._laws = model, laws
         self._signals = signals
         self._views = views
         self._force = force
@@ -146,9 +159,9 @@ class LockStep:
         applied = self._views["qfrc_applied"]
         applied[:] = 0.0 if self._force is None else self._force[:, k]
         signals = {name: values[:, k] for name, values in self._signals.items()}
-        time = np.full(len(applied), step * self._timestep)
+        time, acting = np.full(len(applied), step * self._timestep), self._acting()
         for law, memory in zip(self._laws, self._memories, strict=True):
-            self._evaluate(law, _ALL, time, signals, memory)
+            self._evaluate(law, _ALL, time, signals, acting, memory)
 
     def apply_to(
         self, rows: Int[np.ndarray, " r"], time: Signal, *, forget: Bool[np.ndarray, " r"]
@@ -162,7 +175,7 @@ class LockStep:
             time: `r`, of each since its window or episode began, in [s].
             forget: those that begin, of which the laws remember nothing.
         """
-        count = len(self._views["qfrc_applied"])
+        count, acting = len(self._views["qfrc_applied"]), self._acting()
         self._views["qfrc_applied"][rows] = 0.0
         for some, begun in ((forget, False), (~forget, True)):
             if not some.any():
@@ -170,7 +183,7 @@ class LockStep:
             at = _ALL if np.count_nonzero(some) == count else rows[some]
             for law, memory in zip(self._laws, self._memories, strict=True):
                 own = {k: _taken(x, at, count) for k, x in memory.items()} if begun else {}
-                self._evaluate(law, at, time[some], {}, own)
+                self._evaluate(law, at, time[some], {}, acting, own)
                 memory.update({k: _put(x, at, memory.get(k), count) for k, x in own.items()})
 
     def remembered(self) -> dict[str, np.ndarray]:
@@ -188,17 +201,24 @@ class LockStep:
             number, name = key.split(" ", 1)
             self._memories[int(number)][name] = np.array(value)
 
+    def _acting(self) -> dict[str, Signal]:
+        """Return what actuators act on that do not follow their controls at once."""
+        if "history" not in self._views:
+            return self._act
+        return self._act | delayed_commands(self._model, self._views["history"])
+
     def _evaluate(
         self,
         law: Controller | ForceLaw,
         at: Rows,
         time: Signal,
         signals: Mapping[str, Signal],
+        acting: Mapping[str, Signal],
         memory: dict[str, Any],
     ) -> None:
         qpos, qvel, ctrl, act = (
             group if at is _ALL else {name: x[at] for name, x in group.items()}
-            for group in (self._qpos, self._qvel, self._ctrl, self._act)
+            for group in (self._qpos, self._qvel, self._ctrl, acting)
         )
         until_next = self._every * self._timestep
         value = law.law(LawInputs(time, qpos, qvel, ctrl, signals, until_next, memory, act))

@@ -12,7 +12,7 @@ from mujoco.batch import Batch, SimulationError
 
 from bo_sysid.arrays import Ctrl
 from bo_sysid.simulation.delays import load_past
-from bo_sysid.simulation.lockstep import Controller, ForceLaw, LockStep, steps_held
+from bo_sysid.simulation.lockstep import Controller, ForceLaw, LockStep, live_arrays, steps_held
 from bo_sysid.simulation.state import State, Trajectory
 
 _STATE = mujoco.mjtState.mjSTATE_QPOS | mujoco.mjtState.mjSTATE_QVEL | mujoco.mjtState.mjSTATE_ACT
@@ -106,12 +106,11 @@ class Engine:
                 recorded = self._open_loop(batch, ctrl, force, sensors)
             else:
                 model = _first(models)  # the batch's may have other names and another time step
-                views = {n: batch.bind(n) for n in ("qpos", "qvel", "ctrl", "qfrc_applied")}
-                if model.na:
-                    views["act"] = batch.bind("act")
                 alone = force is None and not sensors
                 every = steps_held(laws, model.opt.timestep) if alone else 1
-                lockstep = LockStep(model, tuple(laws), signals, views, force, every)
+                lockstep = LockStep(
+                    model, tuple(laws), signals, live_arrays(model, batch.bind), force, every
+                )
                 if every > 1:
                     recorded = self._with_held_forces(batch, ctrl, lockstep, every)
                 else:

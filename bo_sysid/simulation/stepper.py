@@ -14,7 +14,7 @@ from bo_sysid.errors import ModelError
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.commands import controlled
 from bo_sysid.recording import Channel, control_steps
-from bo_sysid.simulation.lockstep import LockStep, force_laws, steps_held
+from bo_sysid.simulation.lockstep import LockStep, force_laws, live_arrays, steps_held
 
 _MEMORY = 2.0  # [s] of commands that filters look back on
 _ROUNDING = 1e-6  # of a step: stamps that are sums of steps are not exactly multiples of one
@@ -99,7 +99,7 @@ class Stepper:
     def _restart(self) -> None:
         """Forget the past: the simulation was reset."""
         d = self.data
-        views = {n: getattr(d, n)[None] for n in ("qpos", "qvel", "act", "ctrl", "qfrc_applied")}
+        views = live_arrays(self.model, lambda name: getattr(d, name)[None])
         self._signals = {ELAPSED: np.zeros((1, 1))}
         self._every = steps_held(self._laws, self.model.opt.timestep)
         self._lockstep = LockStep(self.model, self._laws, self._signals, views, None, self._every)
