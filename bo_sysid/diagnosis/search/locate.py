@@ -8,12 +8,19 @@ from bo_sysid.diagnosis.search.beginnings import unexplained_start
 from bo_sysid.diagnosis.search.blocks import simulate_blocks
 from bo_sysid.diagnosis.search.final import compare, final_fits, prefer_static_friction
 from bo_sysid.diagnosis.search.gaps import replace_by_backlash
-from bo_sysid.diagnosis.search.moves import carried, explore, has_friction, without_weakest
+from bo_sysid.diagnosis.search.moves import carried, explore, without_weakest
 from bo_sysid.diagnosis.search.noisy_inputs import noisy_inputs
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.sharpen import sharpened
 from bo_sysid.diagnosis.search.simpler import at_a_part
-from bo_sysid.diagnosis.search.variants import creep
+from bo_sysid.diagnosis.search.time_steps import (
+    GAP_DIVISION,
+    carried_over,
+    finer_step,
+    short_enough,
+    step_for,
+    straightened,
+)
 from bo_sysid.diagnosis.search.window_lengths import (
     LEAST,
     contact_decides,
@@ -34,12 +41,6 @@ from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.problem import ROUGH
 from bo_sysid.diagnosis.windows.windowing import Prepared, meets_impacts, prepare
 
-_LONG_STEP = 2.0  # [sigma] of the correction above which the simulation steps at half
-_LONG_STEP_IN_CONTACT = 0.7  # the same, where no share of a correction says when geoms touch
-_HALVINGS, _HALVINGS_IN_CONTACT = 3, 2
-_GAP_DIVISION = 4  # of the time step where a joint moves in a gap
-_BRISTLES_DIVISION = 2  # the same, where friction preslides
-_PRESLIDING_SHOWS = 1.05  # [sigma] of a set that lacks it, from which it is searched so
 _LONGER = 1.3  # times as long, that makes windows worth lengthening once more
 
 
@@ -96,20 +97,20 @@ def _located(
         without_weakest(search)
     search = with_backlash_tried(evidence, search, horizon)
     on_stage(f"final fits: {_in_words(search.best)}")
-    step = _step_for(search, search.best, step)
+    step = step_for(search, search.best, step)
     final = final_fits(evidence, search, horizon, step)
     if show_more(final.best, search.best, search.prepared.problem.dof):
         on_stage(f"other windows, since they show more: {_in_words(final.best)}")
         search = carried(search, most_informative(final.prepared, final.best))
         search, step = _explored(evidence, search, horizon, step)
-        final = final_fits(evidence, search, horizon, _step_for(search, search.best, step))
+        final = final_fits(evidence, search, horizon, step_for(search, search.best, step))
     noise = noisy_inputs(final)
     if noise != evidence.input_noise:  # seen in all windows alone
         on_stage(f"other weights, since controls are noisy: {_in_words(final.best)}")
         evidence = replace(evidence, input_noise=noise)
-        search = _carried(evidence, search, final.best, horizon, step)
+        search = carried_over(evidence, search, final.best, horizon, step)
         search, step = _explored(evidence, search, horizon, step)
-        final = final_fits(evidence, search, horizon, _step_for(search, search.best, step))
+        final = final_fits(evidence, search, horizon, step_for(search, search.best, step))
     compare(final, search.best)
     final = at_a_part(final)
     prefer_static_friction(final)
@@ -134,7 +135,7 @@ def _searched(
     horizon = limit_by_growth_rate(evidence, full, step)
     prepared, length = limit_by_residual(evidence, horizon, step)
     if length == horizon or meets_impacts(prepared.problem):
-        prepared, step = _short_enough(evidence, prepared, length, step)
+        prepared, step = short_enough(evidence, prepared, length, step)
     search = Search.on(prepared, list(evidence.candidates), evidence.most, None, doing)
     noise = noisy_inputs(search)
     if noise:
@@ -154,7 +155,7 @@ def _searched(
             if longer <= horizon:
                 return evidence, search, horizon, step
             horizon, step = longer, step / 2  # what a step does grows with a window
-        step = _step_for(search, search.best, step)
+        step = step_for(search, search.best, step)
         search, length = _carried_to_longer(evidence, search, length, horizon, step)
         evidence, search, step = _explored_anew(evidence, search, length, step, rounds=3)
         on_stage(f"windows of {length} instants: {_in_words(search.best)}")
@@ -172,21 +173,6 @@ def _longer_if_stable(
         return horizon
     longer = limit_by_growth_rate(evidence, full, step, search.best.hypothesis)
     return longer if longer > _LONGER * horizon else horizon
-
-
-def _short_enough(
-    evidence: Evidence, prepared: Prepared, length: int, step: float
-) -> tuple[Prepared, float]:
-    """Halve the time step until a finer one changes little."""
-    most, halvings = _LONG_STEP, _HALVINGS
-    if meets_impacts(prepared.problem):
-        most, halvings = _LONG_STEP_IN_CONTACT, _HALVINGS_IN_CONTACT
-    for _ in range(halvings):
-        if prepared.correction_rms <= most:
-            break
-        step = step / 2
-        prepared = prepare(windows_of(evidence, length, step))
-    return prepared, step
 
 
 def _explored_anew(
@@ -219,55 +205,24 @@ def _weighted_anew(
     if noise == evidence.input_noise:
         return evidence, search
     evidence = replace(evidence, input_noise=noise)
-    return evidence, _carried(evidence, search, search.best, length, step)
+    return evidence, carried_over(evidence, search, search.best, length, step)
 
 
 def _explored(
     evidence: Evidence, search: Search, length: int, step: float, rounds: int = 5
 ) -> tuple[Search, float]:
-    """Explore, with a finer step where friction leaves what may be its presliding.
+    """Explore, at a finer step where that tells more.
 
-    At once where it is a set from shorter windows that does, else once more.
+    At once where a set from shorter windows shows it, else once more.
     """
+    search, step = straightened(evidence, search, search.best, length, step)
     if search.best.members:
-        search, step = _finer(evidence, search, search.best, length, step)
+        search, step = finer_step(evidence, search, search.best, length, step)
     leader = explore(search, rounds)
-    made, finer = _finer(evidence, search, leader, length, step)
+    made, finer = finer_step(evidence, search, leader, length, step)
     if made is not search:
         explore(made, rounds)
     return made, finer
-
-
-def _finer(
-    evidence: Evidence, search: Search, leader: Fit, length: int, step: float
-) -> tuple[Search, float]:
-    """Carry the best sets to a finer step where that tells how friction preslides."""
-    finer = _step_for(search, leader, step)
-    if finer == step or not _preslides(leader) or leader.rms < _PRESLIDING_SHOWS:
-        return search, step
-    creep(search, leader)
-    if search.best.rms < _PRESLIDING_SHOWS:  # it creeps, at the step of a simulated machine
-        return search, step
-    return _carried(evidence, search, leader, length, finer), finer
-
-
-def _step_for(search: Search, leader: Fit, step: float) -> float:
-    """Return the time step for a leader whose joints meet ends of gaps between two long steps.
-
-    No share of a finer step's difference corrects that: when it arrives bends what follows. Nor
-    does a long step tell friction with presliding from one without.
-    """
-    problem, division = search.prepared.problem, 1
-    if problem.loose(leader.hypothesis):
-        division = _GAP_DIVISION
-    elif _preslides(leader) and not problem.machine.impacts:
-        division = _BRISTLES_DIVISION
-    return min(step, float(problem.machine.model.opt.timestep) / division)
-
-
-def _preslides(leader: Fit) -> bool:
-    """Whether friction of a fit preslides, or what is left may be its presliding."""
-    return leader.rms < ROUGH and has_friction(leader, presliding=leader.rms < _PRESLIDING_SHOWS)
 
 
 def with_backlash_tried(evidence: Evidence, search: Search, length: int) -> Search:
@@ -276,8 +231,8 @@ def with_backlash_tried(evidence: Evidence, search: Search, length: int) -> Sear
     joints = backlash_suspects(leader, machine)
     if machine.impacts or not joints:
         return search
-    step = float(machine.model.opt.timestep) / _GAP_DIVISION
-    made = _carried(evidence, search, leader, length, step)
+    step = float(machine.model.opt.timestep) / GAP_DIVISION
+    made = carried_over(evidence, search, leader, length, step)
     replace_by_backlash(made, made.best, joints)
     return search if made.best.names == leader.names else made
 
@@ -289,15 +244,10 @@ def _carried_to_longer(
     leader = search.best
     longer = next_length(length, horizon)
     for tried in dict.fromkeys((horizon, longer) if clean(leader) else (longer,)):
-        made = _carried(evidence, search, leader, tried, step)
+        made = carried_over(evidence, search, leader, tried, step)
         if made.best.rms < ROUGH:
             break
     return made, tried
-
-
-def _carried(evidence: Evidence, search: Search, leader: Fit, length: int, step: float) -> Search:
-    """Carry the best sets to windows of a length in instants and a time step in [s]."""
-    return carried(search, prepare(windows_of(evidence, length, step), leader.hypothesis))
 
 
 def _in_words(fit: Fit) -> str:

@@ -15,7 +15,6 @@ from bo_sysid.simulation.windows import Windows
 SHARE_BOUNDS = (-0.5, 2.0)  # of the correction: where the share that is shown may lie
 FINER = 4  # the discretisation is judged against a time step this many times smaller
 _DIVISIONS, _FINEST = (1, 2, 4, 8), 16  # the finest only where the error of the others is felt
-_SHARES = {n: (1 - 1 / n) / (1 - 1 / FINER) for n in (*_DIVISIONS, _FINEST)}  # of the correction
 _CONTINUOUS = 1 / (1 - 1 / FINER)  # share of the correction that a continuous machine shows
 _LITTLE = 0.05  # of what a hypothesis leaves: a time-step error that counts as none
 _FELT = 0.3  # the same, from which forecasts are worse by a twentieth
@@ -39,9 +38,14 @@ def refined(windows: Windows, finer: int) -> Windows:
     )
 
 
+def share_of(division: int) -> float:
+    """Return the share of the correction that a time step `division` times smaller shows."""
+    return (1 - 1 / division) / (1 - 1 / FINER)
+
+
 def finer_step(numerics: float) -> int:
     """Return the division of the time step whose predictions the recordings show."""
-    return min(_SHARES, key=lambda n: abs(_SHARES[n] - numerics))
+    return min((*_DIVISIONS, _FINEST), key=lambda n: abs(share_of(n) - numerics))
 
 
 def coarsened(hypothesis: Hypothesis, change: float, *, finest: bool = True) -> Hypothesis:
@@ -53,14 +57,14 @@ def coarsened(hypothesis: Hypothesis, change: float, *, finest: bool = True) -> 
         finest: whether the finest division is one, where the error of the others is felt.
     """
     shown = min(hypothesis.numerics, _CONTINUOUS)  # what is beyond no time step explains
-    error = {n: abs(share - shown) * change for n, share in _SHARES.items()}
+    error = {n: abs(share_of(n) - shown) * change for n in (*_DIVISIONS, _FINEST)}
     nearest = min(_DIVISIONS, key=error.__getitem__)
     if finest and error[nearest] > max(_FELT, error[_FINEST]):
         nearest = _FINEST
     division = next((n for n in _DIVISIONS if error[n] <= _LITTLE), nearest)
-    return replace(hypothesis, numerics=_SHARES[division])
+    return replace(hypothesis, numerics=share_of(division))
 
 
 def shares() -> tuple[float, ...]:
     """Return the shares of the correction that time steps up to the finer one show."""
-    return tuple(_SHARES[n] for n in _DIVISIONS if n <= FINER)
+    return tuple(share_of(n) for n in _DIVISIONS if n <= FINER)

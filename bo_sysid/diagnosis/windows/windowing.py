@@ -19,7 +19,7 @@ from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.diagnosis.windows.projection import project
 from bo_sysid.diagnosis.windows.recorded_contact import meets_stops
 from bo_sysid.diagnosis.windows.settling import better_of, settle
-from bo_sysid.diagnosis.windows.timestep import FINER
+from bo_sysid.diagnosis.windows.timestep import FINER, share_of
 from bo_sysid.errors import ModelError
 from bo_sysid.mjcf.touching import touching
 from bo_sysid.simulation import State
@@ -91,6 +91,20 @@ def prepare(problem: Problem, at: Hypothesis | None = None, known: State | None 
         problem = replace(problem, correction=correction)
         linear = replace(linear, problem=problem)
     return Prepared(problem, start, linear, rms, unfitted)
+
+
+def second_order(prepared: Prepared) -> float:
+    """Return in [sigma] by how much half a time step misses its share of the correction.
+
+    To first order in the step it has a share of what a finer one changes. Near the step at which a
+    stiff servo is unstable that does not hold, h k_v / I > 1/2: what is left then looks like a lag.
+    """
+    linear, problem = prepared.linear, prepared.problem
+    if problem.correction is None:
+        return 0.0
+    half = linear.residual - problem.residual(linear.hypothesis, prepared.start, finer=2)
+    missed = project(linear.Q, half) - share_of(2) * problem.correction
+    return float(np.sqrt((missed**2).sum() / problem.dof))
 
 
 def _begun(problem: Problem, at: Hypothesis, known: State | None) -> Linear:
