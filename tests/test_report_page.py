@@ -305,6 +305,55 @@ def test_a_page_that_is_closed_is_no_error(tmp_path: Path, capsys) -> None:
         handler.send_error.assert_not_called()
 
 
+def test_where_p_and_p_boot_agree_both_are_seen() -> None:
+    belief = pd.DataFrame({"mass": [1.0, 2.0, 3.0], "P": [0.0, 1.0, 0.0], "P_boot": [0.1, 0.9, 0]})
+    boot, p = interactive_search.marginal(belief, "mass", "kg", 1.0).data
+    assert (np.asarray(p.width) < np.asarray(boot.width)).all()  # P stands in front
+    assert np.asarray(p.y).tolist() == [0.0, 1.0, 0.0]
+
+
+@pytest.mark.parametrize(("highest", "ticks"), [(0.1, "D2"), (1e4, None)])
+def test_ticks_of_a_search_are_few_enough_to_be_read(highest: float, ticks: str | None) -> None:
+    """Plotly writes each of 1 to 9 where an axis shows few decades, over each other."""
+    figure = interactive_search.progress(pd.DataFrame({"deviation": [highest, 0.01]}))
+    assert figure.layout.yaxis.dtick == ticks
+
+
+@needs_chromium
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [1200, 500])
+def test_its_words_are_not_cut_off_or_on_each_other_and_nothing_offers_to_send_it(
+    tmp_path: Path, width: int
+) -> None:
+    """Plotly's "Share chart" took the recordings to a server of its own."""
+    path = write_page(write_run(tmp_path / "run", "elbow"))
+    script = """
+      const box = (plot, what) => {
+        const all = [...document.querySelectorAll(`#${plot} ${what}`)];
+        return all.map(e => e.getBoundingClientRect());
+      };
+      const turned = new WheelEvent("wheel", {deltaY: 9, bubbles: true, cancelable: true});
+      document.querySelector("#plot-1-1 canvas").dispatchEvent(turned);
+      return {
+        buttons: [...document.querySelectorAll(".modebar-btn")].map(b => b.dataset.title),
+        numbers: Math.max(...box("plot-2-1", ".x2tick text").map(r => r.bottom)),
+        title: box("plot-2-1", ".x2title").map(r => [r.top, r.bottom])[0],
+        legend: box("plot-2-1", ".legend")[0].top,
+        words: Math.max(...box("plot-4-1", ".scatterlayer text").map(r => r.right)) - innerWidth,
+        scrolls: !turned.defaultPrevented,
+      };
+    """
+    answer, problems = ask(path, script, width)
+    assert problems == []
+    assert "Reset axes" in answer["buttons"]
+    assert not any("share" in b.lower() or "cloud" in b.lower() for b in answer["buttons"])
+    top, bottom = answer["title"]
+    assert answer["numbers"] <= top
+    assert bottom <= answer["legend"] + 1
+    assert answer["words"] <= 0
+    assert answer["scrolls"]  # over the robot, too
+
+
 @needs_chromium
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [1200, 500])

@@ -132,11 +132,15 @@ def forces(pieces: pd.DataFrame, joint: str) -> go.Figure:
 def evidence(sets: pd.DataFrame) -> go.Figure:
     """Return what each of the best explanations leaves unexplained, and its probability.
 
+    A narrow page takes the words of `customdata` and the range of `meta`.
+
     Args:
         sets: set, effects, probability, rms [sensor sigma], best, equivalent.
     """
     shown = sets.iloc[::-1]
     place = np.arange(len(shown))
+    words = [" " + left_words(r["rms"], r["probability"], r.get("p_boot", np.nan))
+             for r in shown.to_dict("records")]  # fmt: skip
     figure = go.Figure()
     figure.add_bar(
         x=light(shown["rms"]),
@@ -149,15 +153,15 @@ def evidence(sets: pd.DataFrame) -> go.Figure:
         x=light(shown["rms"].fillna(1.0)),
         y=place,
         mode="text",
-        text=[" " + left_words(r["rms"], r["probability"], r.get("p_boot", np.nan))
-              for r in shown.to_dict("records")],
+        text=words,
+        customdata=[w.replace(", P_boot", "<br> P_boot") for w in words],
         textposition="middle right",
         cliponaxis=False,
         hoverinfo="skip",
     )  # fmt: skip
     figure.add_vline(x=1.0, line={"dash": "dash", "color": GREY})
-    figure.update_layout(showlegend=False)
     largest = float(np.log10(max(float(shown["rms"].max()), 2.0)))
+    figure.update_layout(showlegend=False, meta={"narrow": [-0.15, 3.4 * largest + 0.3]})
     figure.update_xaxes(
         type="log", range=[-0.15, 1.7 * largest + 0.3], title="unexplained [sensor sigma, rms]"
     )
@@ -195,6 +199,7 @@ def robot(posed: Posed, sites: Sequence[tuple[Site, str]]) -> go.Figure:
             figure.add_scatter3d(
                 x=x, y=y, z=z, mode="text", textposition=side,
                 text=[escaped(shown).replace("\n", "<br>")],
+                customdata=[escaped(words.partition(":")[0])],
                 textfont={"color": NOMINAL, "size": 15}, hoverinfo="skip",
             )  # fmt: skip
     from_here = 1.7 * toward + 0.25 * up + 0.2 * right

@@ -13,6 +13,7 @@ from bo_sysid.report.look import EQUIVALENT, IDENTIFIED, NOMINAL, SECOND
 from bo_sysid.report.plotly_style import dressed, escaped, in_unit, light
 
 _TICKS = 15
+_DECADES = 3  # of an axis below which it has room for 1, 2 and 5 of each; Plotly writes 1 to 9
 
 
 def marginal(belief: pd.DataFrame, parameter: str, unit: str, nominal: float) -> go.Figure:
@@ -26,15 +27,15 @@ def marginal(belief: pd.DataFrame, parameter: str, unit: str, nominal: float) ->
     """
     figure = go.Figure()
     edges = bin_edges(belief[parameter].to_numpy(float))
-    for column, colour, label in (
-        ("P_boot", SECOND, "P_boot: what the recordings say about the machine"),
-        ("P", IDENTIFIED, "P: where the minimum lies on these recordings"),
+    for column, colour, share, label in (  # one in front of the other: both are seen
+        ("P_boot", SECOND, 1.0, "P_boot: what the recordings say about the machine"),
+        ("P", IDENTIFIED, 0.5, "P: where the minimum lies on these recordings"),
     ):
         mass = np.histogram(belief[parameter], edges, weights=belief[column])[0]
         figure.add_bar(
             x=((edges[:-1] + edges[1:]) / 2).astype(np.float32), y=mass.astype(np.float32),
-            width=np.diff(edges).astype(np.float32), name=label, marker={"color": colour},
-            opacity=0.85,
+            width=(share * np.diff(edges)).astype(np.float32), name=label,
+            marker={"color": colour},
         )  # fmt: skip
     figure.add_vline(x=nominal, line={"dash": "dash", "color": NOMINAL}, annotation_text="nominal")
     figure.update_layout(barmode="overlay")
@@ -79,7 +80,10 @@ def progress(evaluations: pd.DataFrame) -> go.Figure:
     figure.add_scatter(
         x=number, y=light(deviation.cummin()), name="lowest so far", line=line, row=1, col=1
     )
-    figure.update_yaxes(type="log", title="deviation [scaled]", row=1)
+    decades = np.log10(deviation.max() / deviation.min()) if deviation.min() > 0 else np.inf
+    figure.update_yaxes(
+        type="log", title="deviation [scaled]", row=1, dtick="D2" if decades < _DECADES else None
+    )
     if "entropy" in evaluations:
         figure.add_scatter(
             x=number, y=light(evaluations["entropy"]), name="entropy of P",

@@ -32,9 +32,11 @@ def dressed(figure: go.Figure, height: int) -> go.Figure:
         font={"family": "system-ui, sans-serif", "size": 13, "color": "#777777"},
         legend={"orientation": "h", "yanchor": "bottom", "y": 0, "yref": "container", "x": 0},
         hovermode="closest",
+        hoverlabel={"namelength": -1},
         modebar={"bgcolor": "rgba(0,0,0,0)", "color": "#999999", "activecolor": IDENTIFIED},
     )
     lines = {"gridcolor": "rgba(128,128,128,0.25)", "zerolinecolor": "rgba(128,128,128,0.5)"}
+    lines["hoverformat"] = ".4~g"
     figure.update_xaxes(title_font_size=13, title_standoff=6, **lines)
     figure.update_yaxes(title_font_size=13, **lines)
     return figure

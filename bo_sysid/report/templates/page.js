@@ -1,10 +1,19 @@
 "use strict";
 (() => {
   const narrow = matchMedia("(max-width: 40rem)");
+  const touched = matchMedia("(pointer: coarse)");
   const dark = matchMedia("(prefers-color-scheme: dark)");
   const stores = [...document.querySelectorAll("script[data-figures]")];
-  const options = { responsive: true, displaylogo: false,
+  // Plotly would offer to send the figure to a server of its own.
+  const options = { responsive: true, displaylogo: false, showSendToCloud: false, plotlyServerURL: "",
     modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d", "resetCameraLastSave3d"] };
+
+  const AXIS = 45; // height of an axis' numbers and its title
+
+  // The wheel is for the page: over a scene Plotly would keep it.
+  for (const place of document.querySelectorAll(".plot")) {
+    place.addEventListener("wheel", (e) => e.stopPropagation(), { capture: true });
+  }
 
   // Plotly's own layout does not know how wide the page is, nor its colours.
   function layoutFor(figure) {
@@ -14,13 +23,17 @@
     if (narrow.matches) {
       layout.margin = { ...layout.margin, l: 55, r: 8 };
       layout.font.size = 11;
-      if (figure.data.filter((t) => t.name && t.showlegend !== false).length > 2) { // a legend of several lines
-        layout.margin.b += 50;
-        layout.height += 50;
-      }
+      if (layout.meta?.narrow) layout.xaxis.range = layout.meta.narrow;
     }
+    if (touched.matches && !layout.scene) layout.dragmode = false; // a finger moves the page
     layout.autosize = true;
     return layout;
+  }
+
+  // Words in a figure have others in their customdata that fit a narrow page; the caption says all.
+  function dataFor(figure) {
+    const other = (t) => narrow.matches && t.mode === "text" && t.customdata;
+    return figure.data.map((t) => (other(t) ? { ...t, text: t.customdata } : t));
   }
 
   // Keys of an object that are whole numbers come first: a menu knows which figure is the first.
@@ -37,7 +50,16 @@
     place.dataset.shown = shown;
     const layout = layoutFor(figure);
     place.style.height = layout.height + "px";
-    return Plotly.react(place, figure.data, layout, options);
+    return Plotly.react(place, dataFor(figure), layout, options).then(() => makeRoom(place, layout));
+  }
+
+  // The legend has as many lines as the width asks for; the axis and its title are above it.
+  function makeRoom(place, layout) {
+    const legend = place.querySelector(".legend");
+    const lacking = legend ? Math.ceil(legend.getBoundingClientRect().height) + AXIS - layout.margin.b : 0;
+    if (lacking <= 0) return place;
+    place.style.height = layout.height + lacking + "px";
+    return Plotly.relayout(place, { "margin.b": layout.margin.b + lacking, height: layout.height + lacking });
   }
 
   function drawAll() {
