@@ -14,6 +14,7 @@ from bo_sysid.cli import main
 from bo_sysid.errors import StudyError
 from bo_sysid.proof.conceal import conceal, seals_of, suite_record
 from bo_sysid.proof.develop import develop
+from bo_sysid.report.page import page
 from bo_sysid.report.text import run_text
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
@@ -106,6 +107,7 @@ def test_three_cases_are_answered_revealed_and_scored(concealed, tmp_path, capsy
     folder = tmp_path / "run"
     shutil.copytree(concealed, folder)
     shutil.copytree(seals_of(concealed), seals_of(folder))
+    assert "Concealed; no seal is open yet." in page(folder)
     assert "Concealed cases: 3, with an answer: 0. Go on with: bo-sysid reveal" in run_text(folder)
     assert main(["reveal", str(folder), "--answers-only", "--published", "0" * 64]) == 2
     assert not list(folder.glob("answers/*.json"))
@@ -124,6 +126,11 @@ def test_three_cases_are_answered_revealed_and_scored(concealed, tmp_path, capsy
     assert "answered by" in (folder / "proof.html").read_text()
     assert "<svg" in (folder / "proof.html").read_text()
     assert "with an answer: 3. All scores are in" in run_text(folder)
+    shown = page(folder)
+    assert "No result yet" not in shown
+    assert "Seals were opened, and their answers scored." in shown
+    assert '<a href="proof.html">' in shown
+    assert str(folder / "proof.html") not in shown  # the page is mailed
     victim = folder / "cases" / "case-1" / "train.parquet"
     victim.write_bytes(victim.read_bytes() + b"x")
     assert main(["reveal", str(folder)]) == 2

@@ -11,7 +11,10 @@ from bo_sysid.report.parts import Found, Section, Table
 from bo_sysid.runs import read_json
 from bo_sysid.study import Study
 
+PROOF = "proof.html"
 _FILES = {
+    PROOF: "all scores of the answers, case by case",
+    "commitments.json": "hashes of the sealed answers, to be published before they are opened",
     "model_repaired.xml": "the repaired model, MJCF that plain MuJoCo loads",
     "model_repaired.json": "what stands beside it because MJCF cannot express it",
     "next_experiment.csv": "the controls of what to record next",

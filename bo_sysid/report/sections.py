@@ -19,19 +19,20 @@ from bo_sysid.report.learning import learning_summary
 from bo_sysid.report.look import channel_units, error_units, top_sets, worst_channels, worst_joints
 from bo_sysid.report.marked import marked_robot
 from bo_sysid.report.parts import Found, Plot, Section, Table
-from bo_sysid.report.provenance import again, data
+from bo_sysid.report.provenance import PROOF, again, data
 from bo_sysid.report.text import compared_table, run_text
 from bo_sysid.runs import read_frame, read_json
 from bo_sysid.runs.files import inside
 
 _PAIRS = 6
 _LARGEST = 300_000  # bytes of a picture in the page
+_DONE = {"record": "Recorded.", "conceal": "Concealed; no seal is open yet."}
 _CHANNELS = 12  # of a page; all are in the run folder
 
 
 def headline(found: Found) -> dict[str, Any]:
     """Return the name of the run, its verdict and the sentences that say it all."""
-    verdict = "No result yet."
+    verdict = _without_result(found)
     try:
         if found.has("diagnosis.json"):
             diagnosis = read_json(found.folder, "diagnosis.json")
@@ -65,10 +66,22 @@ def headline(found: Found) -> dict[str, Any]:
         # the sections say what is damaged
         verdict = "The result cannot be read: a file of the run is damaged."
     try:
-        so_far = run_text(found.folder).splitlines()[1:]
+        so_far = run_text(found.folder).replace(f"{found.folder / PROOF}", PROOF).splitlines()[1:]
     except RunError:  # told where it is shown
         so_far = []
     return {"name": found.folder.name, "verdict": verdict, "sentences": so_far}
+
+
+def _without_result(found: Found) -> str:
+    """Return the verdict on a run that has no answer: some commands are done without one."""
+    if found.has(PROOF):
+        return "Seals were opened, and their answers scored."
+    try:
+        record = read_json(found.folder, "run.json")
+        done = record["status"] == "finished" and _DONE.get(record["command"])
+    except (RunError, LookupError, TypeError):  # told where it is shown
+        done = None
+    return done or "No result yet."
 
 
 def robot(found: Found) -> Section | None:
