@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from chromium import ask, needs_chromium
 from scipy.stats import binom
 
 from bo_sysid.intervals import upper_bound
@@ -369,6 +370,32 @@ def test_the_page_is_whole_escaped_and_asks_for_nothing(tmp_path):
     for outside in ("http://", "https://", "src=", "@import"):
         assert outside not in text
     assert "<svg" in text
+
+
+def test_the_page_marks_what_is_not_acceptable_and_says_so_in_words():
+    scores = score(revealed())
+    wrong = int((~scores.cases["acceptable"].to_numpy(bool)).sum())
+    assert wrong
+    text = page(scores, {})
+    assert text.count('<tr class="wrong">') == wrong
+    cases = text.partition("<h2>Cases</h2>")[2]
+    assert '<th scope="col">acceptable</th>' in cases
+    assert '<th scope="col" class="text">found</th>' in cases  # above cells of its own side
+
+
+@needs_chromium
+@pytest.mark.slow
+def test_the_page_fits_a_phone(tmp_path):
+    path = tmp_path / "proof.html"
+    path.write_text(page(score(revealed()), {"SHA-256 of the suite": "0123456789abcdef" * 4}))
+    asked = """
+      const wide = document.documentElement.scrollWidth - innerWidth;
+      return [wide, Boolean(document.querySelector("meta[name=viewport]"))];
+    """
+    (wide, told), problems = ask(path, asked, 500)
+    assert problems == []
+    assert told  # a phone lays a page out for a desktop otherwise
+    assert wide <= 0
 
 
 def test_the_table_of_cases_goes_through_parquet(tmp_path):

@@ -11,18 +11,41 @@ from bo_sysid.proof.score import Scores
 from bo_sysid.proof.statistics import Reliability
 
 _STYLE = """
-body { font: 15px/1.45 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem }
+:root { color-scheme: light dark; --ink: #1c2126; --paper: #fff; --line: #ddd;
+  --wrong: #fdecea; --mark: #b3261e; --dot: #1f5fa8; --soft: #888 }
+@media (prefers-color-scheme: dark) {
+  :root { --ink: #e8ecef; --paper: #14181c; --line: #333c44;
+    --wrong: #4a2320; --mark: #ff8a80; --dot: #6cb2ff }
+}
+body { font: 15px/1.45 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem;
+  color: var(--ink); background: var(--paper) }
 table { border-collapse: collapse; margin: .6rem 0 1.6rem; font-variant-numeric: tabular-nums }
-th, td { padding: .2rem .7rem; border-bottom: 1px solid #ddd; text-align: right }
+th, td { padding: .2rem .7rem; border-bottom: 1px solid var(--line); text-align: right }
+th.text, td.text { text-align: left; max-width: 26rem }
 th:first-child, td:first-child { text-align: left; white-space: nowrap }
-td.text { text-align: left; max-width: 26rem }
-tr.wrong td { background: #fdecea }
+tr.wrong td { background: var(--wrong) }
+tr.wrong td:first-child { border-left: 4px solid var(--mark) }
 .wide { overflow-x: auto }
 code { font-size: .85em; overflow-wrap: anywhere }
+svg { max-width: 100%; height: auto; fill: currentColor }
+@media (max-width: 40rem) {
+  .wide td.text:first-child { white-space: normal; min-width: 9rem }
+  .facts td:first-child { white-space: normal }
+}
+@page { size: landscape }
+@media print {
+  :root { --ink: #000; --paper: #fff; --line: #bbb;
+    --wrong: #fdecea; --mark: #b3261e; --dot: #1f5fa8 }
+  body { margin: 0; max-width: none; font-size: 8pt }
+  .wide { overflow: visible }
+  th, td { padding: .15rem .35rem }
+  td.text:first-child { white-space: normal }
+  h2 { break-after: avoid }
+  tr, svg { break-inside: avoid }
+}
 """
 _DIGITS = 3
-_PLOT, _MARGIN = 260, 40  # [px]
-_TEXT_CELL = '<td class="text">{}</td>'
+_PLOT, _MARGIN = 260, 48  # [px]
 _TEXT = {"concealed", "found", "verdict", "machine", "failure", "what", "named"}
 
 
@@ -59,12 +82,13 @@ def page(scores: Scores, facts: Mapping[str, Any]) -> str:
         f"<p>{calibration.cases} cases; calibration error {calibration.error:.3f}, of which "
         f"{calibration.expected:.3f} would be there under perfect calibration. Answers "
         "that rightly call physics unknown and name nothing state none and are left out.</p>",
-        _diagram(calibration), _table(calibration.bins),
-        "<h2>Cases</h2>", _table(shown, wrong),
+        _diagram(calibration), _table(calibration.bins.rename(columns=_BINS)),
+        "<h2>Cases</h2>", _CASES, _table(shown, wrong),
     ]  # fmt: skip
     body = "\n".join(parts)
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>Proof on concealed data</title><style>{_STYLE}</style></head>\n"
         f"<body>\n{body}\n</body></html>\n"
     )
@@ -72,13 +96,23 @@ def page(scores: Scores, facts: Mapping[str, Any]) -> str:
 
 _COLUMNS = [
     "tier", "machine", "concealed", "size", "verdict", "found", "probability", "class_size",
-    "right", "nominal", "refitted", "repaired", "learned_residual", "oracle", "noise_floor",
-    "seconds", "failure",
+    "right", "acceptable", "nominal", "refitted", "repaired", "learned_residual", "oracle",
+    "noise_floor", "seconds", "failure",
 ]  # fmt: skip
 _INTERVALS = (
     "<p>Cases with physics missing. Top 1: the set that was named; right: it or one that the "
     "answer calls equivalent, with its interval; acceptable: right, or cannot tell below 2 sigma; "
     "detected: anything was found or flagged.</p>"
+)
+
+_BINS = {
+    "low": "stated from", "high": "stated to", "stated": "stated, mean", "right": "share right",
+    "lower": "low", "upper": "high",
+}  # fmt: skip
+_CASES = (
+    "<p>Size, and what the models' forecasts of the held-out recording are off by, nominal to "
+    "noise floor, are in sensor sigma; seconds are those of the diagnosis. A row with a bar "
+    "at its left is not acceptable.</p>"
 )
 
 
@@ -87,25 +121,29 @@ def _facts(facts: Mapping[str, Any]) -> str:
         f'<tr><td>{escape(str(k))}</td><td class="text"><code>{escape(str(v))}</code></td></tr>'
         for k, v in facts.items()
     )
-    return f"<table>{rows}</table>"
+    return f'<div class="wide"><table class="facts">{rows}</table></div>'
 
 
 def _table(frame: pd.DataFrame, marked: np.ndarray | None = None) -> str:
     """Return a DataFrame as an HTML table, every cell escaped."""
     if frame.empty:
         return "<p>None.</p>"
-    head = "".join(f"<th>{escape(_title(c))}</th>" for c in frame.columns)
+    kinds = [' class="text"' if str(c) in _TEXT else "" for c in frame.columns]
+    head = "".join(
+        f'<th scope="col"{kind}>{escape(_title(c))}</th>'
+        for c, kind in zip(frame.columns, kinds, strict=True)
+    )
     rows = []
     for i, values in enumerate(frame.itertuples(index=False)):
         cells = "".join(
-            _TEXT_CELL.format(escape(_cell(v)))
-            if str(c) in _TEXT
-            else f"<td>{escape(_cell(v))}</td>"
-            for c, v in zip(frame.columns, values, strict=True)
+            f"<td{kind}>{escape(_cell(v))}</td>" for kind, v in zip(kinds, values, strict=True)
         )
         kind = ' class="wrong"' if marked is not None and marked[i] else ""
         rows.append(f"<tr{kind}>{cells}</tr>")
-    return f'<div class="wide"><table><tr>{head}</tr>{"".join(rows)}</table></div>'
+    return (
+        f'<div class="wide" tabindex="0"><table><thead><tr>{head}</tr></thead>'
+        f"<tbody>{''.join(rows)}</tbody></table></div>"
+    )
 
 
 def _title(column: object) -> str:
@@ -130,8 +168,8 @@ def _diagram(r: Reliability) -> str:
     for stated, right, lower, upper in r.bins[["stated", "right", "lower", "upper"]].to_numpy():
         x, y, low, high = _along(stated), _up(right), _up(lower), _up(upper)
         marks.append(
-            f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{low:.1f}" y2="{high:.1f}" stroke="#888"/>'
-            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="#1f5fa8"/>'
+            f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{low:.1f}" y2="{high:.1f}" stroke="var(--soft)"/>'
+            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="var(--dot)"/>'
         )
     ticks = "".join(
         f'<text x="{_along(t):.0f}" y="{_up(0) + 16:.0f}" text-anchor="middle">{t:g}</text>'
@@ -144,8 +182,9 @@ def _diagram(r: Reliability) -> str:
         f'<svg width="{width}" height="{height}" viewBox="0 0 {width} {height}" role="img" '
         'font-size="12" aria-label="stated probability against share right">'
         f'<rect x="{_MARGIN}" y="{_MARGIN}" width="{_PLOT}" height="{_PLOT}" fill="none" '
-        'stroke="#bbb"/>'
-        f'<line x1="{_along(0)}" y1="{_up(0)}" x2="{_along(1)}" y2="{_up(1)}" stroke="#ccc"/>'
+        'stroke="var(--soft)"/>'
+        f'<line x1="{_along(0)}" y1="{_up(0)}" x2="{_along(1)}" y2="{_up(1)}" '
+        'stroke="var(--soft)"/>'
         f'{ticks}<text x="{middle}" y="{height - 6}" text-anchor="middle">stated probability</text>'
         f'<text x="12" y="{middle}" text-anchor="middle" transform="rotate(-90 12 {middle})">'
         f"share right</text>{''.join(marks)}</svg>"
