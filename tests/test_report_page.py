@@ -18,8 +18,10 @@ from chromium import ask, needs_chromium
 
 from bo_sysid.errors import RunError
 from bo_sysid.report import interactive, interactive_search
+from bo_sysid.report.learning import learning_summary
 from bo_sysid.report.marked import site_labels
 from bo_sysid.report.page import page, write_page
+from bo_sysid.report.parts import Table
 from bo_sysid.report.serve import make_server, version
 from bo_sysid.runs import Run
 
@@ -221,6 +223,28 @@ def test_a_learning_run_says_first_what_the_policy_returns_on_the_plant(tmp_path
     assert "gear 0.97" in seen.words
     curves = interactive_search.training(steps).data
     assert [len(c.x) for c in curves] == [2, 1]
+
+
+@pytest.mark.parametrize(
+    ("count", "words"),
+    [
+        (0, "On the study's recordings"),
+        (1, "After 1 real trajectory"),
+        (3, "After 3 real trajectories"),
+    ],
+)
+def test_when_the_diagnosis_repaired_the_model_is_said_in_words(count: int, words: str) -> None:
+    """It read "After 1 the diagnosis repaired the model."."""
+    rounds = [{"trajectories": count, "diagnosis": {"verdict": "missing-physics"}}]
+    told = {"waiting": "", "stopped": "Enough.", "trajectories": count, "seconds_recorded": 6.0,
+            "chosen": {"load": 0.7}, "iterations": rounds}  # fmt: skip
+    assert f"{words} the diagnosis repaired the model." in learning_summary(told)["sentences"]
+
+
+def test_a_table_is_in_words() -> None:
+    shown = Table.of(pd.DataFrame({"at_bound": [True, False], "low95": [0.12345678, np.nan]}))
+    assert shown.columns == ("at bound", "low95")
+    assert shown.rows == (("yes", "0.1235"), ("no", ""))
 
 
 @pytest.mark.parametrize("files", [[], ["worn.py"]])

@@ -101,9 +101,9 @@ def learning(iterations: pd.DataFrame) -> go.Figure:
         iterations: trajectories, episodes, model_return, model_error, plant_return, plant_error.
     """
     figure = go.Figure()
-    for kind, colour, label in (
-        ("model", IDENTIFIED, "on the identified model"),
-        ("plant", NOMINAL, "on the plant"),
+    for kind, colour, size, label in (
+        ("model", IDENTIFIED, 12, "on the identified model"),  # seen around what lies on it
+        ("plant", NOMINAL, 6, "on the plant"),
     ):
         mean = iterations[f"{kind}_return"].astype(float)
         if mean.notna().any():
@@ -111,8 +111,8 @@ def learning(iterations: pd.DataFrame) -> go.Figure:
             error = pd.Series(half_width(known, iterations.get("episodes", np.inf)))
             figure.add_scatter(
                 x=light(iterations["trajectories"]), y=light(mean), name=label,
-                mode="lines+markers", line={"color": colour},
-                error_y={"array": light(error), "color": colour},
+                mode="lines+markers", line={"color": colour}, marker={"size": size},
+                error_y={"array": light(error), "color": colour, "width": size - 2},
             )  # fmt: skip
     several = len(iterations) and iterations["trajectories"].max() > _TICKS
     figure.update_xaxes(title="real trajectories", dtick=None if several else 1)

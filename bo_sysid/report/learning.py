@@ -99,7 +99,9 @@ def learning_summary(summary: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _after(trajectories: int) -> str:
-    return f"After {trajectories}" if trajectories else "On the study's recordings"
+    if not trajectories:
+        return "On the study's recordings"
+    return f"After {trajectories} real trajector{'y' if trajectories == 1 else 'ies'}"
 
 
 def _with_interval(value: Mapping[str, Any]) -> str:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pandas as pd
 
 from bo_sysid.errors import RunError
@@ -27,10 +28,10 @@ class Table:
 
     @classmethod
     def of(cls, frame: pd.DataFrame) -> "Table":
-        """Return a DataFrame with numbers of four digits; what is missing is empty."""
+        """Return a DataFrame in words, numbers with four digits; what is missing is empty."""
         return cls(
-            tuple(str(c) for c in frame.columns),
-            tuple(tuple(cell(v) for v in row) for row in frame.to_numpy(object)),
+            tuple(str(c).replace("_", " ") for c in frame.columns),
+            tuple(tuple(_in_words(v) for v in row) for row in frame.to_numpy(object)),
             tuple(pd.api.types.is_numeric_dtype(frame[c]) for c in frame.columns),
         )
 
@@ -131,6 +132,10 @@ class Found:
             else:
                 if section is not None:
                     yield section
+
+
+def _in_words(value: object) -> str:
+    return ("no", "yes")[int(value)] if isinstance(value, bool | np.bool_) else cell(value)
 
 
 def _title(make: Callable[..., Any]) -> str:

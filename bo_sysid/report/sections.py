@@ -243,7 +243,10 @@ def predictions(found: Found) -> Section | None:
     units = error_units(read_json(found.folder, "identification.json")["errors"])
     worst = worst_channels(traces)[:_CHANNELS]
     figures = {c: interactive.held_out(traces, c, units.get(c, "")) for c in worst}
-    words = "Recorded (grey), nominal and identified model on the recording that was set aside."
+    words = (
+        "Above: recorded (grey), nominal and identified model on the recording that was set aside. "
+        "Below: recorded minus forecast."
+    )
     return Section("predictions", "Predictions", plots=[Plot(words, figures, "channel")])
 
 
