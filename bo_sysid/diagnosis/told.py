@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from bo_sysid.diagnosis.answer.hints import hints, leaves_much, left_sentence
 from bo_sysid.diagnosis.answer.holdout import Holdout
 from bo_sysid.diagnosis.answer.notes import unsought_sentence
-from bo_sysid.diagnosis.answer.seen_once import seen_once
+from bo_sysid.diagnosis.answer.seen_once import seen_in_a_part, seen_once
 from bo_sysid.diagnosis.answer.sentences import (
     disagreements,
     disputed_sentence,
@@ -96,7 +96,7 @@ def _reservations(frozen: Frozen) -> list[str]:
     sentences += hints(best, evidence.machine, located.decision.fits, evidence.still)
     if frozen.uncrossed:
         sentences.append(uncrossed_sentence(frozen.uncrossed))
-    if not frozen.contact and not answer.unexplained.flagged:
-        prepared = located.prepared
-        sentences.append(seen_once(prepared.problem, prepared.linear.Q, best))
+    if not frozen.contact and not answer.unexplained.depends_on:  # else a law says when it acts
+        problem, Q = located.prepared.problem, located.prepared.linear.Q
+        sentences.append(seen_once(problem, Q, best) or seen_in_a_part(problem, Q, best))
     return sentences

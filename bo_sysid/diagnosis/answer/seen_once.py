@@ -1,4 +1,8 @@
-"""Where in the recordings more is left than noise leaves, too rarely to say what acts there."""
+"""Where in the recordings more is left than noise leaves: once in a while, or in a part.
+
+A force law is believed where it predicts windows that it was not fitted to. What acts once is in
+none of them, and what acts from some time on is in some and not in others.
+"""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -11,13 +15,17 @@ from bo_sysid.diagnosis.windows.projection import project
 _CHANCE = 1e-6  # that noise alone leaves as much in any of the windows
 _FEW, _MOST = 0.1, 0.8  # share of the windows at most, that hold that share of all that is left
 _LISTED = 3  # places
+_ENDS = (0.1, 0.9)  # quantiles of the windows' levels: quiet ones lie nearer to the lower
+_LOUDER = 3.0  # times what most others leave, that most windows of a stretch leave
+_PURE = 0.9  # share of loud windows in a stretch
+_SOME = 5  # windows in a stretch, and elsewhere, at least
+_MOVES = 0.5  # of the motion in a stretch, that is elsewhere at least: else it may follow from that
 
 
 def seen_once(problem: Problem, Q: Float[np.ndarray, "W R k"], fit: Fit) -> str:
     """Return where few windows leave more than noise leaves, in words; empty if none does.
 
-    A force law is believed where it predicts windows that it was not fitted to: what acts once is
-    in none of them. Under noise alone the squares that a window leaves, in σ², have a χ²
+    Under noise alone the squares that a window leaves, in σ², have a χ²
     distribution with as many degrees of freedom as it has observations beyond its start. It is
     scaled to the median window, since noise may be larger than was estimated, and a push of three
     thousand σ² leaves a trace of itself in what is fitted to all.
@@ -27,21 +35,77 @@ def seen_once(problem: Problem, Q: Float[np.ndarray, "W R k"], fit: Fit) -> str:
         Q: orthonormal bases of what the start of each window does.
         fit: the answer.
     """
-    squares = (project(Q, fit.residual) ** 2).sum(axis=1)
-    dof = np.maximum((problem.weight > 0).sum(axis=(1, 2)) - problem.start_size, 1)
+    squares, dof = _left(problem, Q, fit)
     usual = max(float(np.median(squares / chi2.median(dof))), 1.0)
     rare = _holding_most(squares / usual - dof)
-    by_chance = chi2.sf(squares / usual, dof) * len(squares)
+    by_chance = np.asarray(chi2.sf(squares / usual, dof)) * len(squares)
     if rare.mean() > _FEW or (by_chance[rare] > _CHANCE).any():
         return ""
-    size, elsewhere = _rms(squares, dof, rare), _rms(squares, dof, ~rare)
-    places = _places(problem, rare)
+    return (
+        f"{_misses(problem, rare, squares, dof)} What acts there, or disturbed the machine, was "
+        "seen too rarely to tell: record that motion several times."
+    )
+
+
+def seen_in_a_part(problem: Problem, Q: Float[np.ndarray, "W R k"], fit: Fit) -> str:
+    """Return which stretch of each recording leaves more than noise leaves; empty if none does.
+
+    A load that was picked up, or a bolt that came loose, makes another machine of it. It is told
+    where the machine moves elsewhere as well: what is missing of its motion shows in no rest.
+
+    Args:
+        problem: all windows.
+        Q: orthonormal bases of what the start of each window does.
+        fit: the answer.
+    """
+    squares, dof = _left(problem, Q, fit)
+    level = np.sqrt(squares / dof)
+    loud = level > np.sqrt(np.prod(np.quantile(level, _ENDS)))
+    part = np.zeros(len(level), bool)
+    for own in (problem.windows.recording == r for r in np.unique(problem.windows.recording)):
+        at = np.flatnonzero(own & loud)
+        part[at.min(initial=len(level)) : at.max(initial=-1) + 1] = True
+    if min(part.sum(), (~part).sum()) < _SOME or loud[part].mean() < _PURE:
+        return ""
+    moved = np.nanmax(np.ptp(problem.windows.observed, axis=1) / _spread(problem), axis=-1)
+    still = np.median(moved[~part]) < _MOVES * np.median(moved[part])
+    if still or np.median(level[part]) < _LOUDER * np.median(level[~part]):
+        return ""
+    return (
+        f"{_misses(problem, part, squares, dof)} Something differs in that part, such as a load "
+        "that was picked up: diagnose it as a recording of its own."
+    )
+
+
+def _misses(
+    problem: Problem,
+    where: Bool[np.ndarray, " W"],
+    squares: Float[np.ndarray, " W"],
+    dof: Int[np.ndarray, " W"],
+) -> str:
+    """Return in words where some windows are, and how much they and the others leave."""
+    places = _places(problem, where)
     more = f" and {len(places) - _LISTED} more" if len(places) > _LISTED else ""
     return (
-        f"{'; '.join(places[:_LISTED])}{more}: there the model misses the recording by {size:.2g} "
-        f"sensor sigmas, and by {elsewhere:.2g} elsewhere. What acts there, or disturbed the "
-        "machine, was seen too rarely to tell: record that motion several times."
+        f"{'; '.join(places[:_LISTED])}{more}: there the model misses the recording by "
+        f"{_rms(squares, dof, where):.2g} sensor sigmas, and by {_rms(squares, dof, ~where):.2g} "
+        "elsewhere."
     )
+
+
+def _left(
+    problem: Problem, Q: Float[np.ndarray, "W R k"], fit: Fit
+) -> tuple[Float[np.ndarray, " W"], Int[np.ndarray, " W"]]:
+    """Return the squares that each window leaves in [sigma²], and its degrees of freedom."""
+    squares = (project(Q, fit.residual) ** 2).sum(axis=1)
+    dof = (problem.weight > 0).sum(axis=(1, 2)) - problem.start_size
+    return np.asarray(squares), np.asarray(np.maximum(dof, 1))
+
+
+def _spread(problem: Problem) -> Float[np.ndarray, " c"]:
+    """Return the reach of each channel over all windows."""
+    low, high = (f(problem.windows.observed, axis=(0, 1)) for f in (np.nanmin, np.nanmax))
+    return np.asarray(np.maximum(high - low, np.finfo(float).tiny))
 
 
 def _holding_most(left: Float[np.ndarray, " W"]) -> Bool[np.ndarray, " W"]:

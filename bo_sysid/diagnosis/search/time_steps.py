@@ -16,6 +16,7 @@ _LONG_STEP = 2.0  # [sigma] of the correction above which the simulation steps a
 _LONG_STEP_IN_CONTACT = 0.7  # the same, where no share of a correction says when geoms touch
 _HALVINGS, _HALVINGS_IN_CONTACT = 3, 2
 _CURVED = 0.05  # share of what is left, by which half a step may miss its share of the correction
+_STRAIGHTER = 0.5  # of what half a step missed, that remains at half: by the square it is a quarter
 _BRISTLES_DIVISION = 2  # the same, where friction preslides
 _PRESLIDING_SHOWS = 1.05  # [sigma] of a set that lacks it, from which it is searched so
 
@@ -40,15 +41,20 @@ def straightened(
 ) -> tuple[Search, float]:
     """Carry the best sets to a step whose changes are in proportion to it, up to what is left.
 
-    A servo's step of h k_v / I = .4 bends by .2 sigma, for which a rotor was told with a lag.
+    A servo's step of h k_v / I = .4 bends by .2 sigma, for which a rotor was told with a lag. What
+    bends otherwise than by the square of the step, as where dry friction holds, no step mends.
     """
     if meets_impacts(search.prepared.problem):
         return search, step
-    for _ in range(_HALVINGS):
-        if second_order(search.prepared) <= _CURVED * max(1.0, leader.rms):
+    finest = float(search.prepared.problem.machine.model.opt.timestep) / 2**_HALVINGS
+    while step / 2 >= finest:
+        missed = second_order(search.prepared)
+        if missed <= _CURVED * max(1.0, leader.rms):
             break
-        step = step / 2
-        search = carried_over(evidence, search, leader, length, step)
+        prepared = prepare(windows_of(evidence, length, step / 2), leader.hypothesis)
+        if second_order(prepared) > _STRAIGHTER * missed:
+            break
+        search, step = carried(search, prepared), step / 2
     return search, step
 
 
