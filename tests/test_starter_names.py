@@ -354,3 +354,35 @@ def test_volts_behind_an_actuators_name_and_counts_behind_a_joints_are_read() ->
     assert named("axis_V", "").unit == named("phase_V", "").unit == ""
     assert (named("arm_counts", "").kind, named("arm_counts", "").unit) == ("position", "ticks")
     assert named("arm_volts_V", "").unit == "V"
+
+
+def test_a_greek_letter_beside_a_joints_name_is_a_position_unless_it_behaves_like_a_rate() -> None:
+    """As of rotary pendulums, whose angles are theta and alpha."""
+    names = {"theta_shoulder": ANGLES["shoulder"], "alpha_elbow": ANGLES["elbow"]}
+    rates = {"beta_elbow": RATES["elbow"]}
+    table = RawTable("log", {"time": TIME, **names, **rates, "tau": FORCES["elbow"]})
+    found = guess_rules(Model.from_xml(ARM), table)
+    assert found.columns["qpos.shoulder"]["from"] == "theta_shoulder"
+    assert found.columns["qpos.elbow"]["from"] == "alpha_elbow"
+    assert found.columns["qvel.elbow"]["from"] == "beta_elbow"
+    assert not found.held
+
+
+@pytest.mark.parametrize(
+    ("column", "unit"),
+    [("u_elbow_MPa", "MPa"), ("p_elbow_cmd_bar", "bar"), ("elbow_cmd [kPa]", "kPa")],
+)
+def test_pressures_of_a_cylinder_are_read_in_pascals(column: str, unit: str) -> None:
+    """A bar that no pressure stands beside is a link, as of a four-bar."""
+    model = Model.from_xml(
+        ARM.replace('<motor name="elbow" joint="elbow"/>',
+                    '<cylinder name="elbow" joint="elbow" area="1e-4"/>')
+    )  # fmt: skip
+    angles = {f"{n}_pos": q for n, q in ANGLES.items()}
+    table = RawTable("log", {"time": TIME, **angles, column: FORCES["elbow"]})
+    rule = guess_rules(model, table).columns["ctrl.elbow"]
+    assert rule == {"from": column, "unit": unit}
+    pressed = read(table, guess_rules(model, table)).channels["ctrl.elbow"]
+    one = {"MPa": 1e6, "bar": 1e5, "kPa": 1e3}[unit]
+    assert pressed.values == pytest.approx(one * FORCES["elbow"])
+    assert named("coupler_bar", "").unit == ""

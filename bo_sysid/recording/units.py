@@ -1,6 +1,7 @@
 """Units of recorded columns, and their SI equivalents.
 
-Angles and lengths, their rates, forces and torques, and the electrical quantities that logs carry.
+Angles and lengths, their rates, forces, torques and pressures, and the electrical quantities that
+logs carry.
 A unit names a quantity, so that a velocity given for a position is refused and not rescaled,
 whether a rule gives it or the file.
 """
@@ -59,6 +60,10 @@ _QUANTITIES: dict[str, tuple[str, dict[str, float]]] = {
     "force": (
         "N",
         {"N": 1, "mN": 1e-3, "kN": 1e3, "kgf": 9.80665, "gf": 9.80665e-3, "lbf": 4.4482216},
+    ),
+    "pressure": (
+        "Pa",
+        {"Pa": 1, "kPa": 1e3, "MPa": 1e6, "mbar": 1e2, "bar": 1e5, "psi": 6894.757},
     ),
     "voltage": ("V", {"V": 1, "mV": 1e-3}),
     "current": ("A", {"A": 1, "mA": 1e-3, "uA": 1e-6, "µA": 1e-6}),

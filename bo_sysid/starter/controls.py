@@ -24,8 +24,8 @@ _FEEDING, _PLACES, _SPEEDS = (
     ("current", "voltage"), ("angle", "length"), ("angular velocity", "velocity")
 )  # fmt: skip
 _NEVER: dict[ControlKind, tuple[str, ...]] = {
-    "position": (*_FEEDING, "torque", "force", *_SPEEDS),
-    "velocity": (*_FEEDING, "torque", "force", *_PLACES),
+    "position": (*_FEEDING, "torque", "force", "pressure", *_SPEEDS),
+    "velocity": (*_FEEDING, "torque", "force", "pressure", *_PLACES),
     "force": _PLACES,
 }
 """What a control is not measured in."""

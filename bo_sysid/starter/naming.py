@@ -19,7 +19,8 @@ WORDS: dict[str, frozenset[str]] = {
     ),
     "position": frozenset(
         {"position", "positions", "pos", "q", "qpos", "angle", "angles", "theta", "enc", "encoder",
-         "state", "states", "joint", "x", "y", "th", "phi", "winkel"}
+         "state", "states", "joint", "x", "y", "th", "phi", "alpha", "beta", "gamma",
+         "winkel"}
     ),
     "velocity": frozenset(
         {"velocity", "velocities", "vel", "v", "qvel", "qd", "dq", "speed", "speeds", "omega",
@@ -43,8 +44,10 @@ WORDS: dict[str, frozenset[str]] = {
                            "act", "ist", "istwert"}),
 }  # fmt: skip
 """Words in the names of columns, by what they say."""
-PLACED = WORDS["position"] - {"state", "states", "joint", "x", "y"}
-"""Words of positions alone; a velocity may be a state or an output as well."""
+PLACED = WORDS["position"] - {
+    "state", "states", "joint", "x", "y", "alpha", "beta", "gamma",
+}  # fmt: skip
+"""Words of positions alone; a velocity may be a state or an output as well, or a Greek letter."""
 UNITS = {
     "deg": "deg", "degrees": "deg", "rad": "rad", "ticks": "ticks", "mrad": "mrad", "ms": "ms",
     "us": "us", "ns": "ns", "msec": "ms", "usec": "us", "nsec": "ns", "rpm": "rpm", "mm": "mm",
@@ -52,15 +55,17 @@ UNITS = {
     "lbf": "lbf",
 }  # fmt: skip
 """Units that names of columns carry as a word of theirs, in any letters."""
-_ENDINGS = ("mA", "mNm", "Nm", "Ncm", "kN", "mV", "turns", "revs", "cm")
+_ENDINGS = ("mA", "mNm", "Nm", "Ncm", "kN", "mV", "kPa", "MPa", "turns", "revs", "cm")
 """Units at the end of a name, in these letters."""
 _CURRENT = frozenset({"i", "current", "cur", "curr", "amps"})
 _TURNED = frozenset({"position", "pos", "angle", "encoder", "enc"})
+_PRESSED = frozenset({"p", "pressure", "druck"})
 _ELEMENTS = frozenset({"axis", "joint", "phase", "link", "leg"})
 """Words beside which a V at the end is the name of an element, as W is."""
 _BESIDE = {
     "A": ("A", _CURRENT), "ma": ("mA", _CURRENT), "V": ("V", frozenset({"u", "voltage", "volts"})),
-    "rev": ("rev", _TURNED), "turn": ("turn", _TURNED),
+    "rev": ("rev", _TURNED), "turn": ("turn", _TURNED), "bar": ("bar", _PRESSED),
+    "psi": ("psi", _PRESSED), "Pa": ("Pa", _PRESSED),
 }  # fmt: skip
 """Endings and words beside which they are units; alone they may be the name of an element."""
 _PER_SECOND = {

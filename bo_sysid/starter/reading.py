@@ -27,7 +27,7 @@ _FITS = {
     "qvel": ("angular velocity", "velocity"),
     "ctrl": (
         "current", "voltage", "torque", "force", "ratio", "angle", "length", "angular velocity",
-        "velocity",
+        "velocity", "pressure",
     ),
 }  # fmt: skip
 _ELECTRIC = ("current", "voltage")  # no torque, which is worth saying of an A, too
