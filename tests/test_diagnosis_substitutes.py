@@ -3,14 +3,17 @@
 import mujoco
 import numpy as np
 
+from bo_sysid.diagnosis.search.final import compare
 from bo_sysid.diagnosis.search.rounds import substitute
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.window_lengths import windows_of
+from bo_sysid.diagnosis.sets.fit import set_key
 from bo_sysid.diagnosis.sets.refit import FINAL
 from bo_sysid.diagnosis.windows.evidence import make_evidence
 from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.mjcf import Model
+from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
 
 SERVO = """<mujoco><option timestep="0.002"/><worldbody><body><joint name="a" axis="0 0 1"
@@ -53,3 +56,52 @@ def test_a_late_encoder_is_tried_for_a_late_command_of_another_slope() -> None:
     substitute(final, base)
     encoder = next(f for f in final.fits.values() if ("sensor_delay", "qpos.a") in f.names)
     assert abs(encoder.x[0][0] / LATE - 1) < 0.02
+
+
+SLED = """<mujoco><option timestep=".002"/><worldbody><body name="sled">
+  <joint name="rail" type="slide" axis="1 0 0" damping="2" frictionloss="{friction}"/>
+  <geom type="box" size=".1 .1 .1" mass="{mass}"/></body></worldbody>
+  <actuator><motor name="left" joint="rail"/><motor name="right" joint="rail"/></actuator>
+</mujoco>"""
+LOAD, FRICTION, SCALE = 0.6, 3.0, 1e-4  # [kg], [N], [m]
+
+
+def pushed() -> Recording:
+    """Return 6 s of a sled with a load and friction, which creeps as MuJoCo's does."""
+    plant = mujoco.MjModel.from_xml_string(SLED.format(friction=FRICTION, mass=2 + LOAD))
+    data, rows, rng = mujoco.MjData(plant), [], np.random.default_rng(3)
+    for _ in range(3000):
+        t = data.time
+        data.ctrl[:] = 20 * np.sin(7 * t), 15 * np.cos(11 * t + 1) - 5 * np.sin(3 * t)
+        rows.append((t, data.qpos[0] + SCALE * rng.normal(), *data.ctrl))
+        mujoco.mj_step(plant, data)
+    time, place, left, right = np.array(rows).T
+    return Recording.from_arrays(time, qpos={"rail": place}, ctrl={"left": left, "right": right})
+
+
+def test_a_load_beside_friction_of_another_shape_is_fitted_with_that_of_the_leader() -> None:
+    """Two gains and a smaller friction do what one load does, and friction that holds does less."""
+    effects = [CATALOGUE[e] for e in ("dry_friction", "actuator_gain", "link_mass")]
+    damping = Parameter("damping", ("joint[rail].damping",), 0.0, 10.0)
+    evidence = make_evidence(
+        Model.from_xml(SLED.format(friction=0, mass=2)), [pushed()], effects=effects,
+        parameters=(damping,), noise={"qpos": SCALE}, threads=1,
+    )  # fmt: skip
+    problem = windows_of(evidence, 150, 0.002, everything=True)
+    holds = next(c for c in evidence.candidates if c.is_dry_friction).usual
+    creeps = holds.with_shapes(np.zeros_like(holds.shapes))
+    gains = [c for c in evidence.candidates if c.effect.id == "actuator_gain"]
+    mass = next(c for c in evidence.candidates if c.effect.id == "link_mass")
+    share = 1 / (1 + LOAD / 2)
+    own = [np.array([share * FRICTION]), *(np.array([share - 1]) for _ in gains)]
+    held = [*evidence.candidates, creeps]
+    first = Search.on(prepare(problem), held, 3, None).fit([creeps, *gains], own)
+    final = Search.on(prepare(problem, first.hypothesis), held, 3, first.hypothesis)
+    leader = final.fit([creeps, *gains], first.x, effort=FINAL)
+    far = final.fit([holds, mass], [np.array([FRICTION]), np.array([LOAD])], effort=FINAL)
+    assert leader.rms < 1.02
+    assert 1.02 * leader.rms < far.rms < 2 * leader.rms
+    compare(final, leader)
+    load = final.fits[set_key([creeps, mass])]
+    assert abs(load.rms / leader.rms - 1) < 0.01
+    np.testing.assert_allclose(np.concatenate(load.x), (FRICTION, LOAD), rtol=0.01)
