@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from bo_sysid.diagnosis.search.final import compare
+from bo_sysid.diagnosis.search.final import compare, prefer_static_friction
 from bo_sysid.diagnosis.search.rounds import substitute
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.window_lengths import windows_of
@@ -66,14 +66,14 @@ SLED = """<mujoco><option timestep=".002"/><worldbody><body name="sled">
 LOAD, FRICTION, SCALE = 0.6, 3.0, 1e-4  # [kg], [N], [m]
 
 
-def pushed() -> Recording:
+def pushed(sigma: float = SCALE, load: float = LOAD) -> Recording:
     """Return 6 s of a sled with a load and friction, which creeps as MuJoCo's does."""
-    plant = mujoco.MjModel.from_xml_string(SLED.format(friction=FRICTION, mass=2 + LOAD))
+    plant = mujoco.MjModel.from_xml_string(SLED.format(friction=FRICTION, mass=2 + load))
     data, rows, rng = mujoco.MjData(plant), [], np.random.default_rng(3)
     for _ in range(3000):
         t = data.time
         data.ctrl[:] = 20 * np.sin(7 * t), 15 * np.cos(11 * t + 1) - 5 * np.sin(3 * t)
-        rows.append((t, data.qpos[0] + SCALE * rng.normal(), *data.ctrl))
+        rows.append((t, data.qpos[0] + sigma * rng.normal(), *data.ctrl))
         mujoco.mj_step(plant, data)
     time, place, left, right = np.array(rows).T
     return Recording.from_arrays(time, qpos={"rail": place}, ctrl={"left": left, "right": right})
@@ -105,3 +105,27 @@ def test_a_load_beside_friction_of_another_shape_is_fitted_with_that_of_the_lead
     load = final.fits[set_key([creeps, mass])]
     assert abs(load.rms / leader.rms - 1) < 0.01
     np.testing.assert_allclose(np.concatenate(load.x), (FRICTION, LOAD), rtol=0.01)
+
+
+def test_what_stands_for_the_creep_of_friction_is_no_rival_of_friction_that_holds() -> None:
+    """Recordings that hardly tell creep from hold tell Stribeck friction from hold as little."""
+    sigma = 4e-3
+    effects = [CATALOGUE[e] for e in ("dry_friction", "stribeck_friction")]
+    evidence = make_evidence(
+        Model.from_xml(SLED.format(friction=0, mass=2)), [pushed(sigma, load=0)],
+        effects=effects, noise={"qpos": sigma}, threads=1,
+    )  # fmt: skip
+    problem = windows_of(evidence, 150, 0.002, everything=True)
+    holds = next(c for c in evidence.candidates if c.effect.id == "dry_friction").usual
+    creeps = holds.with_shapes(np.zeros_like(holds.shapes))
+    held = [*evidence.candidates, creeps]
+    first = Search.on(prepare(problem), held, 3, None).fit([creeps], [np.array([FRICTION])])
+    final = Search.on(prepare(problem, first.hypothesis), held, 3, first.hypothesis)
+    leader = final.fit([creeps], first.x, effort=FINAL)
+    rising = [c for c in held if c.effect.id == "stribeck_friction"]
+    richer = [final.fit([c], [np.array([0.1, FRICTION])], effort=FINAL) for c in rising]
+    assert min(f.rss for f in richer) > leader.rss
+    prefer_static_friction(final)
+    (kept,) = (f for f in final.fits.values() if f.members)
+    assert kept.key == set_key([holds])
+    np.testing.assert_allclose(kept.x[0], FRICTION, rtol=0.03)

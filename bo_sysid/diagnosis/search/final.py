@@ -120,7 +120,8 @@ def compare(final: Search, first: Fit) -> None:
 def prefer_static_friction(final: Search) -> None:
     """Let friction of the leading set hold a load where recordings do not tell that it creeps.
 
-    Machines' friction holds; that of MuJoCo's default settings creeps.
+    Machines' friction holds; that of MuJoCo's default settings creeps. What is richer and leaves
+    more than friction that creeps is no rival of friction that holds: it stands for the creep.
     """
     leader = leading(final)
     if not any(c.regularised for c in leader.members):
@@ -128,8 +129,9 @@ def prefer_static_friction(final: Search) -> None:
     known = [final.known(c.usual) if c.regularised else c for c in leader.members]
     held = final.fit(known, leader.x, start=leader.start, guess=leader.hypothesis, effort=FINAL)
     if held.rms < _UNDECIDED * leader.rms:
-        for f in [f for f in final.fits.values() if _effects(f) == _effects(leader)]:
-            if any(c.regularised for c in f.members):
+        for f in [f for f in final.fits.values() if f.names == leader.names]:
+            creeps = _effects(f) == _effects(leader) and any(c.regularised for c in f.members)
+            if creeps or (f.width > leader.width and f.rss > leader.rss):
                 del final.fits[f.key]
 
 
