@@ -12,7 +12,7 @@ from diagnosis_helpers import ARM, NAMES, SIGMA, arm, candidate, posed, record
 from bo_sysid.diagnosis import diagnose
 from bo_sysid.diagnosis.answer.findings import findings
 from bo_sysid.diagnosis.answer.hints import stuck_joints
-from bo_sysid.diagnosis.search.final import prefer_static_friction
+from bo_sysid.diagnosis.search.held_friction import prefer_static_friction
 from bo_sysid.diagnosis.search.locate import locate
 from bo_sysid.diagnosis.search.moves import explore
 from bo_sysid.diagnosis.search.search import Search

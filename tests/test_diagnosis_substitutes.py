@@ -3,7 +3,8 @@
 import mujoco
 import numpy as np
 
-from bo_sysid.diagnosis.search.final import compare, prefer_static_friction
+from bo_sysid.diagnosis.search.final import compare
+from bo_sysid.diagnosis.search.held_friction import prefer_static_friction
 from bo_sysid.diagnosis.search.rounds import substitute
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.window_lengths import windows_of

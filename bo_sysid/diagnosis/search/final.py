@@ -5,13 +5,14 @@ from dataclasses import replace
 
 from bo_sysid.diagnosis.search.blocks import simulate_blocks
 from bo_sysid.diagnosis.search.ground import slide
+from bo_sysid.diagnosis.search.held_friction import drop_unsupported_presliding, vary_presliding
 from bo_sysid.diagnosis.search.loads import place_loads
-from bo_sysid.diagnosis.search.moves import eliminate, has_friction
+from bo_sysid.diagnosis.search.moves import eliminate, leading
 from bo_sysid.diagnosis.search.polish import fitted_at_itself, polished, stepped_finer
 from bo_sysid.diagnosis.search.rounds import substitute
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.sharpen import repeated_anew
-from bo_sysid.diagnosis.search.variants import turn_about, vary
+from bo_sysid.diagnosis.search.variants import turn_about
 from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.sets.decide import BAND
 from bo_sysid.diagnosis.sets.fit import Fit, Names, set_key
@@ -25,7 +26,7 @@ from bo_sysid.diagnosis.sets.rules import (
     ranked,
     required_members,
 )
-from bo_sysid.diagnosis.sets.shapes import ranges, with_shapes_unsure
+from bo_sysid.diagnosis.sets.shapes import ranges
 from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.windowing import prepare
@@ -36,9 +37,8 @@ _FAR = 2.0  # times what the leader leaves, above which a set is far from it
 # [sigma] a set without a part of the leader is fitted again unless that part costs more
 _NEEDED = 0.5
 _COMPARED = 3  # leading sets at most that are compared with others
-_SIGNIFICANT = 2.0  # standard deviations from which presliding is told from none
 _AS_GOOD = 1.02  # times what the leader leaves: simpler sets within that are as good
-_UNDECIDED = 1.005  # the same, for friction that holds in the place of one that creeps
+_UNDECIDED = 1.005  # the same, of rivals that may only not be fitted to their end
 # times what the leader leaves, within which rivals are polished as well; how many of them
 _NEAR, _RIVALS = 1.05, 2
 
@@ -57,10 +57,10 @@ def final_fits(evidence: Evidence, search: Search, horizon: int, step: float) ->
     for f in chosen:
         if f.members:
             fitted_on_all(final, leader if f is order[0] else f, far=f.rms > _FAR * order[0].rms)
-    _vary_presliding(final)
+    vary_presliding(final)
     if not (clean(final.best) or explains_little(final.best, final.nominal)):
         repeated_anew(final)
-    _drop_unsupported_presliding(final)
+    drop_unsupported_presliding(final)
     return final
 
 
@@ -98,7 +98,7 @@ def compare(final: Search, first: Fit) -> None:
     """
     eliminate(final)
     done: set[object] = set()
-    finished = {_effects(first)}
+    finished = {first.effects}
     for _ in range(_COMPARED):
         simulate_blocks(final)
         leader = leading(final)
@@ -115,24 +115,6 @@ def compare(final: Search, first: Fit) -> None:
         refit_from_nearer(final, leader)
         _polish(final, leader, finished)
         eliminate(final)
-
-
-def prefer_static_friction(final: Search) -> None:
-    """Let friction of the leading set hold a load where recordings do not tell that it creeps.
-
-    Machines' friction holds; that of MuJoCo's default settings creeps. What is richer and leaves
-    more than friction that creeps is no rival of friction that holds: it stands for the creep.
-    """
-    leader = leading(final)
-    if not any(c.regularised for c in leader.members):
-        return
-    known = [final.known(c.usual) if c.regularised else c for c in leader.members]
-    held = final.fit(known, leader.x, start=leader.start, guess=leader.hypothesis, effort=FINAL)
-    if held.rms < _UNDECIDED * leader.rms:
-        for f in [f for f in final.fits.values() if f.names == leader.names]:
-            creeps = _effects(f) == _effects(leader) and any(c.regularised for c in f.members)
-            if creeps or (f.width > leader.width and f.rss > leader.rss):
-                del final.fits[f.key]
 
 
 def _fit_with_leader_shapes(final: Search, leader: Fit) -> None:
@@ -185,7 +167,7 @@ def refit_from_nearer(final: Search, leader: Fit) -> None:
 
 def _exchanged(fit: Fit, leader: Fit) -> bool:
     """Whether a set differs from the leader in one member."""
-    shared = len(_effects(fit) & _effects(leader))
+    shared = len(fit.effects & leader.effects)
     return len(fit.members) == len(leader.members) == shared + 1
 
 
@@ -202,13 +184,13 @@ def _polish(final: Search, leader: Fit, finished: set[Names]) -> None:
     """
     problem = final.prepared.problem
     rivals, smaller = (
-        [f for f in found if _effects(f) not in finished]
+        [f for f in found if f.effects not in finished]
         for found in (_rivals(final, leader), _smaller(final, leader))
     )
     for f in (leader, *rivals[:_RIVALS], *smaller[:1]):
-        if _effects(f) in finished or (f is leader and not _shaped(final, f)):
+        if f.effects in finished or (f is leader and not _shaped(final, f)):
             continue
-        finished.add(_effects(f))
+        finished.add(f.effects)
         f = _with_leader_shapes(final, f, leader)
         made = fitted_at_itself(problem, f)
         if made.rss < f.rss:
@@ -226,7 +208,7 @@ def _rivals(final: Search, leader: Fit) -> list[Fit]:
         shaped = f.names != leader.names and _shaped(final, f) and f.rms < _NEAR * leader.rms
         close = f.rms < _UNDECIDED * leader.rms and f.rss - leader.rss > 2 * BAND
         if f.size == leader.size and (fewer or shaped or close) and not f.names < leader.names:
-            found.setdefault(_effects(f), f)
+            found.setdefault(f.effects, f)
     return list(found.values())
 
 
@@ -251,44 +233,6 @@ def _shaped(final: Search, fit: Fit) -> bool:
     return any(ranges(c, final.prepared.problem.machine) for c in fit.members)
 
 
-def _effects(fit: Fit) -> Names:
-    """Return effects and sites as they are, whatever an effect contains (`Fit.names`)."""
-    return frozenset(c.key for c in fit.members)
-
-
-def _vary_presliding(final: Search) -> None:
-    """Vary the presliding of friction on all windows: in some of them joints may be stuck."""
-    leader, smooth = final.best, not final.prepared.problem.machine.impacts
-    decided = clean(leader) or explains_little(leader, final.nominal)
-    if smooth and has_friction(leader) and not decided:
-        vary(final, leader)
-
-
-def _drop_unsupported_presliding(final: Search) -> None:
-    """Leave out presliding of the leading set that the recordings do not tell from none."""
-    leader = final.best
-    if not has_friction(leader, presliding=True):
-        return
-    spread = with_shapes_unsure(final.prepared.problem, final.frame.Q, leader).spread
-    untold = {
-        c.key
-        for c, s in zip(leader.members, spread, strict=True)
-        if c.preslides and c.shapes[-1] < _SIGNIFICANT * s[-1]
-    }
-    if not untold:
-        return
-    members = [c.without_presliding if c.key in untold else c for c in leader.members]
-    known = [final.known(c) for c in members]
-    straight = final.refit(known, leader.x, guess=leader.hypothesis, effort=FINAL)
-    if straight.rms > _AS_GOOD * leader.rms:
-        return
-    for f in list(final.fits.values()):
-        if _effects(f) == _effects(leader) and any(
-            c.preslides and c.key in untold for c in f.members
-        ):
-            del final.fits[f.key]
-
-
 def _without_trifles(search: Search) -> list[Fit]:
     """Return the fits, best first, but those of sets that add only trifles to an admissible one.
 
@@ -296,11 +240,11 @@ def _without_trifles(search: Search) -> list[Fit]:
     whether the time step is fine enough.
     """
     fits, nominal = ranked(search.fits.values(), search.prior), search.nominal
-    able = {_effects(f): f for f in reversed(fits) if f.members and admissible(f, nominal)}
+    able = {f.effects: f for f in reversed(fits) if f.members and admissible(f, nominal)}
 
     def trifling(f: Fit) -> bool:
         core = required_members(f, nominal, fits)
-        rest = able.get(core) if core != _effects(f) else None
+        rest = able.get(core) if core != f.effects else None
         return rest is not None and rest.excess - f.excess < MARGIN**2
 
     return [f for f in fits if not trifling(f)]
@@ -310,13 +254,6 @@ def _lacks(fit: Fit, leader: Fit) -> bool:
     """Whether a set is a part of one that leaves little, and what it lacks is clearly needed."""
     part = fit.names < leader.names and leader.rms < LOOSE
     return part and fit.excess > leader.excess + _NEEDED**2
-
-
-def leading(search: Search) -> Fit:
-    """Return the best of the fits whose every member is needed."""
-    fits = list(search.fits.values())
-    order = ranked(fits, search.prior)
-    return next(f for f in order if admissible(f, search.nominal, fits))
 
 
 def finalists(order: Sequence[Fit], nominal: Fit) -> list[Fit]:
@@ -330,7 +267,7 @@ def finalists(order: Sequence[Fit], nominal: Fit) -> list[Fit]:
     """
     first = dict[Names, Fit]()
     for f in order:
-        first.setdefault(_effects(f), f)
+        first.setdefault(f.effects, f)
     order = list(first.values())
     able = [f for f in order if f.members and not any(f.groups) and admissible(f, nominal)]
     grouped = [f for f in order if any(f.groups)]

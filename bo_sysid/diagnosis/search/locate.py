@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 from bo_sysid.diagnosis.search.bare_joints import from_bare_joints
 from bo_sysid.diagnosis.search.beginnings import unexplained_start
 from bo_sysid.diagnosis.search.blocks import simulate_blocks
-from bo_sysid.diagnosis.search.final import compare, final_fits, prefer_static_friction
+from bo_sysid.diagnosis.search.final import compare, final_fits
 from bo_sysid.diagnosis.search.gaps import replace_by_backlash
+from bo_sysid.diagnosis.search.held_friction import prefer_static_friction
 from bo_sysid.diagnosis.search.moves import carried, explore, without_weakest
 from bo_sysid.diagnosis.search.noisy_inputs import noisy_inputs
 from bo_sysid.diagnosis.search.search import Search

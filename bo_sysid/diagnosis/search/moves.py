@@ -15,6 +15,7 @@ from bo_sysid.diagnosis.sets.refit import FINAL
 from bo_sysid.diagnosis.sets.rules import (
     LOOSE,
     MARGIN,
+    admissible,
     clean,
     explains_little,
     ranked,
@@ -146,6 +147,13 @@ def has_friction(fit: Fit, *, presliding: bool = False) -> bool:
     return any(c.may_preslide for c in fit.members) or any(
         p.friction_joints and x[0] > 0 for p, x in fitted
     )
+
+
+def leading(search: Search) -> Fit:
+    """Return the best of the fits whose every member is needed."""
+    fits = list(search.fits.values())
+    order = ranked(fits, search.prior)
+    return next(f for f in order if admissible(f, search.nominal, fits))
 
 
 def eliminate(search: Search) -> None:

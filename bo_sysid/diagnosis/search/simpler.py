@@ -2,7 +2,8 @@
 
 from dataclasses import replace
 
-from bo_sysid.diagnosis.search.final import compare, fitted_on_all, leading
+from bo_sysid.diagnosis.search.final import compare, fitted_on_all
+from bo_sysid.diagnosis.search.moves import leading
 from bo_sysid.diagnosis.search.polish import CURVED, polished
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.sets.fit import Fit

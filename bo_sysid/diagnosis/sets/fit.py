@@ -88,6 +88,11 @@ class Fit:
         """Effects and sites, an effect that contains a simpler one as that one."""
         return frozenset((c.effect.nested or c.effect.id, c.site.name) for c in self.members)
 
+    @property
+    def effects(self) -> Names:
+        """Effects and sites as they are, whatever an effect contains (`names`)."""
+        return frozenset(c.key for c in self.members)
+
     @cached_property
     def linear_rms(self) -> tuple[float, ...]:
         """What each member does, by the slope at all that it is, as an rms in sigma.
