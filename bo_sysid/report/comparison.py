@@ -117,7 +117,8 @@ def tables_of(content: Mapping[str, Any], folder: Path) -> list[tuple[str, pd.Da
             (
                 f"{unit.capitalize()} over those of {first} on the same seeds: geometric mean, its "
                 "95 % bootstrap interval, and p of Wilcoxon's signed-rank test, which few pairs "
-                "cannot bring low; in `unreached` of the pairs a run counts as the longest one",
+                "cannot bring low; a pair in which one did not get there (unreached) counts it as "
+                "the longest run",
                 versus,
             )
         )
