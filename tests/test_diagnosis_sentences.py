@@ -118,6 +118,16 @@ def test_a_sentence_of_ones_own_may_ask_for_any_component() -> None:
     )
 
 
+@pytest.mark.parametrize("periods", [0.857, 77.0])
+def test_an_interval_holds_its_value_also_beyond_the_bounds_of_a_shape(periods: float) -> None:
+    """Finer shapes are tried beside those of the grid: .857 was told with 1 to 2.1."""
+    made = machine()
+    cogging = candidates([CATALOGUE["cogging"]], made)[0].with_shapes(np.array([periods]))
+    told = details_of(cogging, np.array([0.1, 0.1]), 1e-6 * np.eye(2), np.array([0.05]), made)
+    low, high = told["periods"].interval
+    assert low <= told["periods"].value <= high
+
+
 def test_a_spring_that_a_model_has_is_told_as_the_spring() -> None:
     assert said("joint_spring", machine(stiffness=2.0), 1.5) == (
         "The spring at the hinge is 3.50 ± 0.03 N m/rad, not 2 as in the model."

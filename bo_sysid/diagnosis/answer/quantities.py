@@ -64,7 +64,11 @@ def _value(
 
 
 def _within(quantity: Quantity, low: float, high: float) -> Quantity:
-    """Return a quantity whose interval ends where the magnitude was not searched for."""
+    """Return a quantity whose interval ends where the magnitude was not searched for.
+
+    It holds the value all the same: finer shapes are tried on both sides of the last of a grid.
+    """
+    low, high = min(low, quantity.value), max(high, quantity.value)
     first, last = quantity.interval
     return replace(quantity, interval=(max(low, first), min(high, last)))
 
