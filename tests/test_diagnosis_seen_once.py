@@ -1,6 +1,7 @@
 """What acts once, or in a part, is told with its place and time, and noise is not."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import count
 
 import numpy as np
@@ -90,3 +91,17 @@ def test_what_is_missing_of_the_motion_shows_in_no_rest() -> None:
     }
     both = Recording.from_arrays(np.concatenate([time, 9.0 + time]), qpos=hung, ctrl=ctrl)
     assert said_of(both, seen_in_a_part) == ""
+
+
+def test_what_one_joint_lacks_is_no_part_where_the_other_moved_alone() -> None:
+    """A shoulder that moves all the time, and an elbow with a spring that moves later."""
+    moved = pulled(0.0)
+    first = moved.channels["qpos.elbow"].values[:2250]
+    still = SIGMA * np.random.default_rng(1).normal(size=len(first))
+    elbow = np.concatenate([still, moved.channels["qpos.elbow"].values[2250:]])
+    channels = dict(moved.channels)
+    channels["qpos.elbow"] = replace(channels["qpos.elbow"], values=elbow)
+    ready = prepare(posed(replace(moved, channels=channels), horizon=150)[0])
+    nominal = refit(ready.linear, (), (), effort=Effort(10, 1.0, final=True))
+    quiet = replace(nominal, residual=nominal.residual * (np.arange(29) >= 15)[:, None])
+    assert seen_in_a_part(ready.problem, ready.linear.Q, quiet) == ""

@@ -5,6 +5,7 @@ none of them, and what acts from some time on is in some and not in others.
 """
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Bool, Float, Int
 from scipy.stats import chi2
 
@@ -19,7 +20,9 @@ _ENDS = (0.1, 0.9)  # quantiles of the windows' levels: quiet ones lie nearer to
 _LOUDER = 3.0  # times what most others leave, that most windows of a stretch leave
 _PURE = 0.9  # share of loud windows in a stretch
 _SOME = 5  # windows in a stretch, and elsewhere, at least
-_MOVES = 0.5  # of the motion in a stretch, that is elsewhere at least: else it may follow from that
+_MOVES = (
+    0.5  # of each channel's motion in a stretch, that is elsewhere: else it may follow from that
+)
 
 
 def seen_once(problem: Problem, Q: Float[np.ndarray, "W R k"], fit: Fit) -> str:
@@ -51,7 +54,7 @@ def seen_in_a_part(problem: Problem, Q: Float[np.ndarray, "W R k"], fit: Fit) ->
     """Return which stretch of each recording leaves more than noise leaves; empty if none does.
 
     A load that was picked up, or a bolt that came loose, makes another machine of it. It is told
-    where the machine moves elsewhere as well: what is missing of its motion shows in no rest.
+    where all that moves there moves elsewhere as well: what a joint lacks shows in no rest of it.
 
     Args:
         problem: all windows.
@@ -67,9 +70,11 @@ def seen_in_a_part(problem: Problem, Q: Float[np.ndarray, "W R k"], fit: Fit) ->
         part[at.min(initial=len(level)) : at.max(initial=-1) + 1] = True
     if min(part.sum(), (~part).sum()) < _SOME or loud[part].mean() < _PURE:
         return ""
-    moved = np.nanmax(np.ptp(problem.windows.observed, axis=1) / _spread(problem), axis=-1)
-    still = np.median(moved[~part]) < _MOVES * np.median(moved[part])
-    if still or np.median(level[part]) < _LOUDER * np.median(level[~part]):
+    reach = np.ma.ptp(np.ma.masked_invalid(problem.windows.observed), axis=1)
+    moved = pd.DataFrame(reach.filled(np.nan))
+    here, elsewhere = moved[part].median(), moved[~part].median()
+    louder = np.median(level[part]) >= _LOUDER * np.median(level[~part])
+    if not louder or (elsewhere < _MOVES * here).any():
         return ""
     return (
         f"{_misses(problem, part, squares, dof)} Something differs in that part, such as a load "
@@ -100,12 +105,6 @@ def _left(
     squares = (project(Q, fit.residual) ** 2).sum(axis=1)
     dof = (problem.weight > 0).sum(axis=(1, 2)) - problem.start_size
     return np.asarray(squares), np.asarray(np.maximum(dof, 1))
-
-
-def _spread(problem: Problem) -> Float[np.ndarray, " c"]:
-    """Return the reach of each channel over all windows."""
-    low, high = (f(problem.windows.observed, axis=(0, 1)) for f in (np.nanmin, np.nanmax))
-    return np.asarray(np.maximum(high - low, np.finfo(float).tiny))
 
 
 def _holding_most(left: Float[np.ndarray, " W"]) -> Bool[np.ndarray, " W"]:
