@@ -25,7 +25,7 @@ _HINTS = (
     "What follows are hints, not yet findings: with a probability of {:.1f} it is something else."
 )
 _CONTACT = (
-    "The machine is in contact, or meets its stops, where names are hints and not yet findings."
+    "They are no more than hints since the machine is in contact, or meets its stops."
 )
 
 
