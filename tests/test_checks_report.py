@@ -690,6 +690,24 @@ def test_geoms_that_overlap_at_a_joint_are_to_be_looked_at(parent: str, level: s
     assert ('<exclude body1="base" body2="turret"/>' in flag.sentence) == (level == "look")
 
 
+@pytest.mark.parametrize(("share", "level"), [(0.5, "look"), (0.1, "note")])
+def test_moving_bodies_that_touch_often_are_to_be_looked_at(share: float, level: str) -> None:
+    """A gimbal's outer frame and its camera, which the inner frame joins."""
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><body name="outer"><joint name="yaw" axis="0 0 1"/>
+        <geom name="arm" type="box" size=".02 .2 .02" pos="0 0 -.1"/>
+        <body name="inner"><joint name="roll"/><geom size=".001" mass="1"/>
+        <body name="camera"><joint name="pitch" axis="0 1 0"/><geom name="lens" size=".02"
+         pos="0 0 .1"/></body></body></body></worldbody></mujoco>"""
+    )
+    turned = {"yaw": 0 * TIME, "roll": 0 * TIME}
+    turned["pitch"] = np.where(np.arange(len(TIME)) < share * len(TIME), np.pi, 0.0)
+    (flag,) = contact_flags(model, [Recording.from_arrays(TIME, qpos=turned)])
+    assert (flag.level, flag.channels) == (level, ("arm", "lens"))
+    assert flag.evidence["share"] == pytest.approx(share, abs=0.02)
+    assert ('<exclude body1="' in flag.sentence) == (level == "look")
+
+
 def test_the_file_of_a_check_has_all_notes(tmp_path: Path) -> None:
     """On the screen stand the first twelve; the rest has to be somewhere."""
     wave = np.sin(2 * TIME)

@@ -32,6 +32,8 @@ def test_the_pose_of_a_floating_base_is_found_by_its_letters(tmp_path: Path) -> 
     assert found == [f"mocap_{k}" for k in ("x", "y", "z", "qw", "qx", "qy", "qz")]
     assert "base: fixed" not in (tmp_path / "study.yaml").read_text()
     assert "unit" not in started.rules.columns["qpos.wheel"]
+    why = "cannot be compared with the model: a joint is neither a hinge nor a slide"
+    assert started.rules.guesses["ctrl.drive"].reason.endswith(why)
     pd.DataFrame(log).drop(columns="mocap_qw").to_csv(tmp_path / "part.csv", index=False)
     held = init(tmp_path / "rover.xml", [tmp_path / "part.csv"], tmp_path / "other.yaml")
     assert any("wrong for one that drives or walks" in note for note in held.notes)

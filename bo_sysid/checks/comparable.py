@@ -38,8 +38,10 @@ def comparable(
     """
     positions = [f"qpos.{model.joint(j).name}" for j in range(model.njnt)]
     measured = [n for n in positions if all(n in r.channels for r in recordings)]
-    if not all(int(t) in SCALAR for t in model.jnt_type) or not measured:
-        return "a joint is neither a hinge nor a slide, or none was recorded"
+    if not all(int(t) in SCALAR for t in model.jnt_type):
+        return "a joint is neither a hinge nor a slide"
+    if not measured:
+        return "no joint was recorded"
     traces = Traces(recordings, measured, most)
     if traces.count < _LEAST:
         return _too_short(traces)

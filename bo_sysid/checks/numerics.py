@@ -19,7 +19,7 @@ _TWICE = 1.5  # from which a ratio is told as a number
 _MOSTLY = 0.5  # of the windows that diverge, from which nothing can be fitted
 _FAR = 100.0  # standard deviations
 _INSTANTS = 400
-_ALWAYS = 0.95  # of the recordings
+_ALWAYS, _OFTEN = 0.95, 0.2  # of the recordings
 _GROUND = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
 
 
@@ -143,22 +143,30 @@ def contact_flags(model: mujoco.MjModel, recordings: Sequence[Recording]) -> lis
 
 
 def _touching(model: mujoco.MjModel, geoms: tuple[int, int], share: float) -> Flag:
-    """Return how long two geoms touch; where a joint joins them and they always do, they overlap.
+    """Return how long two geoms touch; where they hardly can on the machine, what to do about it.
 
-    MuJoCo leaves out contact between a body and its parent, but not where that is fixed to the
-    world.
+    Those of two moving bodies that touch often rub and push in the simulation. Those that a joint
+    joins and that always touch overlap: MuJoCo leaves out contact between a body and its parent,
+    but not where that is fixed to the world.
     """
     names = sorted(model.geom(g).name or f"geom_{g}" for g in geoms)
     sentence = f"{names[0]} touches {names[1]} during {100 * share:.0f} % of the recordings."
     bodies = [int(model.body_weldid[model.geom_bodyid[g]]) for g in geoms]
     parents = [int(model.body_weldid[model.body_parentid[b]]) for b in bodies]
-    if share < _ALWAYS or not (bodies[0] == parents[1] or bodies[1] == parents[0]):
+    joined = share >= _ALWAYS and (bodies[0] == parents[1] or bodies[1] == parents[0])
+    if not joined and (share < _OFTEN or 0 in bodies):
         return Flag("note", "contact", tuple(names), sentence, {"share": share})
     first, second = (model.body(int(model.geom_bodyid[g])).name or "world" for g in geoms)
+    leave_out = (
+        f'out of contact (MJCF: <contact><exclude body1="{first}" body2="{second}"/></contact>, or '
+        'contype="0" conaffinity="0").'
+    )
+    if not joined:
+        more = f" Where {first} and {second} do not touch on the machine, leave them {leave_out}"
+        return Flag("look", "contact", tuple(names), sentence + more, {"share": share})
     more = (
         f" A joint joins their bodies, {first} and {second}: geoms that overlap there rub and push "
-        "in the simulation as they do in no machine. Leave them out of contact (MJCF: <contact>"
-        f'<exclude body1="{first}" body2="{second}"/></contact>, or contype="0" conaffinity="0").'
+        f"in the simulation as they do in no machine. Leave them {leave_out}"
     )
     if any(int(model.geom_type[g]) in _GROUND for g in geoms):
         more = (

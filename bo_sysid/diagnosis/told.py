@@ -24,9 +24,7 @@ from bo_sysid.diagnosis.frozen import Frozen
 _HINTS = (
     "What follows are hints, not yet findings: with a probability of {:.1f} it is something else."
 )
-_CONTACT = (
-    "They are no more than hints since the machine is in contact, or meets its stops."
-)
+_CONTACT = "They are no more than hints since the machine is in contact, or meets its stops."
 
 
 def told(frozen: Frozen, holdout: Holdout, shifts: Mapping[str, float]) -> tuple[str, ...]:

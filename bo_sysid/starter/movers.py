@@ -29,10 +29,10 @@ _CONFIDENCE = 0.65
 _DELAYS = tuple(0.008 * np.arange(-2, 8))
 
 
-def evidence_of(model: mujoco.MjModel, recordings: Sequence[Recording]) -> WiringEvidence | None:
-    """Return what recordings say about the channels of a model; None where they cannot."""
+def evidence_of(model: mujoco.MjModel, recordings: Sequence[Recording]) -> WiringEvidence | str:
+    """Return what recordings say about the channels of a model; why, where they say nothing."""
     made = comparable(model, recordings, _MOST)
-    return None if isinstance(made, str) else WiringEvidence(*made, _MOST)
+    return made if isinstance(made, str) else WiringEvidence(*made, _MOST)
 
 
 def with_movers(model: Model, tables: Sequence[RawTable], rules: Rules) -> Rules:
@@ -50,7 +50,7 @@ def with_movers(model: Model, tables: Sequence[RawTable], rules: Rules) -> Rules
     also = {c: {"from": n} for n, c in channels.items()}
     recordings = [read(t, replace(rules, columns={**rules.columns, **also})) for t in tables]
     evidence = evidence_of(compiled, unwrapped(recordings, find_wraps(recordings)))
-    if evidence is None:
+    if isinstance(evidence, str):
         return rules
     fits = partial(fits_control, compiled)
     guesses = _movers_and_fits(

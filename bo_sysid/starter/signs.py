@@ -71,10 +71,11 @@ def tested_signs(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Test
     its motor with it look the same to themselves; whether others tell is tested as well.
     """
     evidence = evidence_of(model, recordings)
-    if evidence is None:
+    if isinstance(evidence, str):
         joints = {f"qpos.{model.joint(j).name}" for j in range(model.njnt)}
         names = {n for r in recordings for n in r.channels if n in joints or n.startswith("ctrl.")}
-        return Tested({}, dict.fromkeys(names, "these logs cannot be compared with the model"), {})
+        reason = f"these logs cannot be compared with the model: {evidence}"
+        return Tested({}, dict.fromkeys(names, reason), {})
     h = evidence.identity()
     before = evidence.shares(h, _DELAYS).min(axis=0)
     explained = evidence.weights * (before < _EXPLAINED)
@@ -98,7 +99,7 @@ def tested_signs(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Test
 def constants_told(model: mujoco.MjModel, recordings: Sequence[Recording]) -> frozenset[str]:
     """Return the controls of motors of which the motion tells what one unit of them gives."""
     evidence = evidence_of(model, recordings)
-    return frozenset() if evidence is None else motors.told(evidence, _DELAYS)
+    return frozenset() if isinstance(evidence, str) else motors.told(evidence, _DELAYS)
 
 
 def _why(evidence: WiringEvidence, name: str, shares: np.ndarray) -> str:
