@@ -19,6 +19,7 @@ from bo_sysid.diagnosis.search.time_steps import (
     carried_over,
     finer_step,
     short_enough,
+    shows_own_step,
     step_for,
     straightened,
 )
@@ -70,7 +71,8 @@ def locate(
     """Find the set of effects that explains the training recordings.
 
     Far from them no set with a joint that it added is an answer (`follows_anything`): where one
-    leads, it is looked for without such joints.
+    leads, it is looked for without such joints. Recordings of a simulation may show the model's own
+    time step: no finer one is taken then.
 
     Args:
         evidence: what it is found from.
@@ -85,6 +87,11 @@ def locate(
     if follows_anything(leading) or follows_anything(located.decision.best):
         on_stage(f"without added joints: {_in_words(leading)}")
         located = _located(evidence.rigid, on_stage, doing)
+    leaders = (located.search.best, located.decision.best)
+    if any(shows_own_step(located.prepared.problem, f) for f in leaders):
+        on_stage("at the model's own time step, which the recordings show")
+        coarser = _located(replace(evidence, simulated=True), on_stage, doing)
+        located = min(located, coarser, key=lambda one: one.decision.best.rms)
     return located
 
 

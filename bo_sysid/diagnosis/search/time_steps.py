@@ -6,7 +6,8 @@ from bo_sysid.diagnosis.search.variants import creep
 from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.windows.evidence import Evidence
-from bo_sysid.diagnosis.windows.problem import ROUGH
+from bo_sysid.diagnosis.windows.problem import ROUGH, Problem
+from bo_sysid.diagnosis.windows.timestep import SHARE_BOUNDS
 from bo_sysid.diagnosis.windows.windowing import Prepared, meets_impacts, prepare, second_order
 
 GAP_DIVISION = 4
@@ -17,6 +18,7 @@ _LONG_STEP_IN_CONTACT = 0.7  # the same, where no share of a correction says whe
 _HALVINGS, _HALVINGS_IN_CONTACT = 3, 2
 _CURVED = 0.05  # share of what is left, by which half a step may miss its share of the correction
 _STRAIGHTER = 0.5  # of what half a step missed, that remains at half: by the square it is a quarter
+_WORSE = 1.02  # times what was left, from which a finer step is worse
 _BRISTLES_DIVISION = 2  # the same, where friction preslides
 _PRESLIDING_SHOWS = 1.05  # [sigma] of a set that lacks it, from which it is searched so
 
@@ -28,7 +30,7 @@ def short_enough(
     most, halvings = _LONG_STEP, _HALVINGS
     if meets_impacts(prepared.problem):
         most, halvings = _LONG_STEP_IN_CONTACT, _HALVINGS_IN_CONTACT
-    for _ in range(halvings):
+    for _ in range(0 if evidence.simulated else halvings):
         if prepared.correction_rms <= most:
             break
         step = step / 2
@@ -42,9 +44,10 @@ def straightened(
     """Carry the best sets to a step whose changes are in proportion to it, up to what is left.
 
     A servo's step of h k_v / I = .4 bends by .2 sigma, for which a rotor was told with a lag. What
-    bends otherwise than by the square of the step, as where dry friction holds, no step mends.
+    bends otherwise than by the square of the step, as where dry friction holds, no step mends, and
+    a machine that is itself simulated at a step is told best at that.
     """
-    if meets_impacts(search.prepared.problem):
+    if evidence.simulated or meets_impacts(search.prepared.problem):
         return search, step
     finest = float(search.prepared.problem.machine.model.opt.timestep) / 2**_HALVINGS
     while step / 2 >= finest:
@@ -54,8 +57,20 @@ def straightened(
         prepared = prepare(windows_of(evidence, length, step / 2), leader.hypothesis)
         if second_order(prepared) > _STRAIGHTER * missed:
             break
-        search, step = carried(search, prepared), step / 2
+        made = carried(search, prepared)
+        if made.best.rms > _WORSE * search.best.rms:
+            break
+        search, step = made, step / 2
     return search, step
+
+
+def shows_own_step(problem: Problem, fit: Fit) -> bool:
+    """Whether recordings show a coarser step than that of the windows, as those of a simulation.
+
+    The share of what a finer step changes is then as far below none as is looked for.
+    """
+    step, own = problem.windows.timestep, float(problem.machine.model.opt.timestep)
+    return step < own and fit.hypothesis.numerics <= SHARE_BOUNDS[0]
 
 
 def finer_step(

@@ -49,6 +49,7 @@ class Evidence:
         input_noise: σ of what recorded controls show and the machine did not get, by actuator.
         too_short: names of recordings that are left out, since they hold no window.
         lead: time in [s] from where windows begin until what is compared there.
+        simulated: whether the recordings show the model's own time step, as those of a simulation.
     """
 
     model: Model
@@ -67,6 +68,7 @@ class Evidence:
     input_noise: Mapping[str, float] = field(default_factory=dict)
     too_short: tuple[str, ...] = ()
     lead: float = 0.0
+    simulated: bool = False
 
     @property
     def notes(self) -> tuple[str, ...]:
