@@ -88,7 +88,7 @@ def locate(
         on_stage(f"without added joints: {_in_words(leading)}")
         located = _located(evidence.rigid, on_stage, doing)
     leaders = (located.search.best, located.decision.best)
-    if any(shows_own_step(located.prepared.problem, f) for f in leaders):
+    if any(shows_own_step(located.search, f) for f in leaders):
         on_stage("at the model's own time step, which the recordings show")
         coarser = _located(replace(evidence, simulated=True), on_stage, doing)
         located = min(located, coarser, key=lambda one: one.decision.best.rms)

@@ -6,7 +6,7 @@ from bo_sysid.diagnosis.search.variants import creep
 from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.windows.evidence import Evidence
-from bo_sysid.diagnosis.windows.problem import ROUGH, Problem
+from bo_sysid.diagnosis.windows.problem import ROUGH
 from bo_sysid.diagnosis.windows.timestep import SHARE_BOUNDS
 from bo_sysid.diagnosis.windows.windowing import Prepared, meets_impacts, prepare, second_order
 
@@ -64,13 +64,15 @@ def straightened(
     return search, step
 
 
-def shows_own_step(problem: Problem, fit: Fit) -> bool:
-    """Whether recordings show a coarser step than that of the windows, as those of a simulation.
+def shows_own_step(search: Search, fit: Fit) -> bool:
+    """Whether recordings show a coarser step than was halved to, as those of a simulation.
 
     The share of what a finer step changes is then as far below none as is looked for.
     """
-    step, own = problem.windows.timestep, float(problem.machine.model.opt.timestep)
-    return step < own and fit.hypothesis.numerics <= SHARE_BOUNDS[0]
+    problem = search.prepared.problem
+    own = float(problem.machine.model.opt.timestep)
+    halved = problem.windows.timestep < step_for(search, fit, own)
+    return halved and not problem.machine.impacts and fit.hypothesis.numerics <= SHARE_BOUNDS[0]
 
 
 def finer_step(
