@@ -20,9 +20,7 @@ _ENDS = (0.1, 0.9)  # quantiles of the windows' levels: quiet ones lie nearer to
 _LOUDER = 3.0  # times what most others leave, that most windows of a stretch leave
 _PURE = 0.9  # share of loud windows in a stretch
 _SOME = 5  # windows in a stretch, and elsewhere, at least
-_MOVES = (
-    0.5  # of each channel's motion in a stretch, that is elsewhere: else it may follow from that
-)
+_MOVES = 0.5  # of each channel's motion in a stretch, that is elsewhere at least
 
 
 def seen_once(problem: Problem, Q: Float[np.ndarray, "W R k"], fit: Fit) -> str:

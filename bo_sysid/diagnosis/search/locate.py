@@ -223,14 +223,13 @@ def _explored(
 
     At once where a set from shorter windows shows it, else once more.
     """
-    search, step = straightened(evidence, search, search.best, length, step)
-    if search.best.members:
-        search, step = finer_step(evidence, search, search.best, length, step)
+    finer = finer_step if search.best.members else straightened
+    search, step = finer(evidence, search, search.best, length, step)
     leader = explore(search, rounds)
-    made, finer = finer_step(evidence, search, leader, length, step)
+    made, step = finer_step(evidence, search, leader, length, step)
     if made is not search:
         explore(made, rounds)
-    return made, finer
+    return made, step
 
 
 def with_backlash_tried(evidence: Evidence, search: Search, length: int) -> Search:
