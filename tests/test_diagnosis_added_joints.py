@@ -11,9 +11,10 @@ from diagnosis_helpers import arm
 from diagnosis_helpers import record as record_arm
 
 from bo_sysid.diagnosis import diagnose
-from bo_sysid.diagnosis.search.locate import locate, with_backlash_tried
+from bo_sysid.diagnosis.search.locate import Located, by_added_joints, locate, with_backlash_tried
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.window_lengths import windows_of
+from bo_sysid.diagnosis.sets.decide import decide
 from bo_sysid.diagnosis.windows.coordinates import Coordinates, transmitted
 from bo_sysid.diagnosis.windows.evidence import make_evidence
 from bo_sysid.diagnosis.windows.windowing import prepare
@@ -339,6 +340,24 @@ def test_a_joint_that_follows_what_it_does_not_explain_is_not_named() -> None:
     best = found.decision.best
     assert [c.key for c in best.members] == [("viscous_damping", "hinge")]
     assert best.rms > 3.0
+
+
+@pytest.mark.parametrize("added", [True, False])
+def test_windows_prepared_for_a_joint_that_was_added_decide_nothing_far_off(added: bool) -> None:
+    """Where that joint begins is free in all of them: what nothing leaves is less, and led."""
+    recording = record("dry_friction", [0.9, 0.0], 2, 1.5)
+    effects = [CATALOGUE[e] for e in ("joint_compliance", "viscous_damping")]
+    model, noise = Model.from_xml(JOINT), {"qpos": SIGMA}
+    evidence = make_evidence(model, [recording], effects=effects, noise=noise, threads=1)
+    problem = windows_of(evidence, 100, 0.002)
+    search = Search.on(prepare(problem), list(evidence.candidates), 1, None)
+    gear = next(c for c in evidence.candidates if c.effect.hidden is added)
+    soft = search.fit((gear,), (gear.probe,))
+    alone = Search.on(prepare(problem, soft.hypothesis), list(evidence.candidates), 1, None)
+    nothing = decide([alone.nominal], alone.nominal, alone.prior, alone.frame.Q, problem.dof)
+    assert nothing.best.rms > 3.0
+    assert (alone.nominal.rms < 0.9 * search.nominal.rms) is added
+    assert by_added_joints(Located(nothing, alone.prepared, alone, evidence)) is added
 
 
 def test_the_repaired_study_searches_with_the_joint_that_nothing_measures(diagnosed) -> None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from bo_sysid.diagnosis.search.blocks import simulate_blocks
 from bo_sysid.diagnosis.search.ground import slide
 from bo_sysid.diagnosis.search.held_friction import drop_unsupported_presliding, vary_presliding
+from bo_sysid.diagnosis.search.lateness import late_elsewhere, lead_of
 from bo_sysid.diagnosis.search.loads import place_loads
 from bo_sysid.diagnosis.search.moves import eliminate, leading
 from bo_sysid.diagnosis.search.polish import fitted_at_itself, polished, stepped_finer
@@ -32,7 +33,6 @@ from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.windowing import prepare
 
 _FINALISTS = 5
-_LATE = ("actuator_delay", "sensor_delay")  # one may be told as the other
 _FAR = 2.0  # times what the leader leaves, above which a set is far from it
 # [sigma] a set without a part of the leader is fitted again unless that part costs more
 _NEEDED = 0.5
@@ -47,7 +47,7 @@ def final_fits(evidence: Evidence, search: Search, horizon: int, step: float) ->
     """Fit the leading sets again, on all windows, with the correction taken at the leader."""
     order = _without_trifles(search)
     chosen = finalists(order, search.nominal)
-    evidence = replace(evidence, lead=max(_lateness(f) for f in chosen))
+    evidence = replace(evidence, lead=lead_of(chosen))
     problem = windows_of(evidence, horizon, step, everything=True)
     leader, prepared = order[0], prepare(problem, order[0].hypothesis)
     once = explains_little(order[0], search.nominal)
@@ -62,18 +62,6 @@ def final_fits(evidence: Evidence, search: Search, horizon: int, step: float) ->
         repeated_anew(final)
     drop_unsupported_presliding(final)
     return final
-
-
-def _lateness(fit: Fit) -> float:
-    """Return by how much in [s] the delays of a set make a machine late, one behind the other.
-
-    A late encoder shows in the first instants of a window what was before it. How a motion went on
-    there is known where windows begin earlier; continued backwards with the acceleration of its
-    start, it was off by 4 sigma² where held commands change the acceleration from one step to the
-    next, and a late command was told in its place.
-    """
-    late = [float(x[0]) for c, x in zip(fit.members, fit.x, strict=True) if c.effect.id in _LATE]
-    return sum(late)
 
 
 def fitted_on_all(final: Search, fit: Fit, far: bool = False) -> None:
@@ -123,7 +111,7 @@ def _fit_with_leader_shapes(final: Search, leader: Fit) -> None:
     Beside friction that preslides otherwise a set looks worse than it is.
     """
     for f in [f for f in final.fits.values() if f.rms < _AS_GOOD * leader.rms]:
-        if _exchanged(f, leader) and set_key(_as_in(leader, f)) not in final.fits:
+        if f.exchanges_one(leader) and set_key(_as_in(leader, f)) not in final.fits:
             _with_leader_shapes(final, f, leader)
 
 
@@ -153,7 +141,7 @@ def refit_from_nearer(final: Search, leader: Fit) -> None:
     and the back-EMF of its motor 203, and so they were told apart.
     """
     own = {c.key: (c, x) for c, x in zip(leader.members, leader.x, strict=True)}
-    near = [f for f in final.fits.values() if f.rss < leader.rss and _exchanged(f, leader)]
+    near = [f for f in final.fits.values() if f.rss < leader.rss and f.exchanges_one(leader)]
     if leader.rms <= LOOSE or not near:
         return
     best = min(near, key=lambda f: f.rss)
@@ -163,12 +151,6 @@ def refit_from_nearer(final: Search, leader: Fit) -> None:
     ]
     members, x = zip(*pairs, strict=True)
     final.refit(members, x, start=best.start, guess=best.hypothesis, effort=FINAL)
-
-
-def _exchanged(fit: Fit, leader: Fit) -> bool:
-    """Whether a set differs from the leader in one member."""
-    shared = len(fit.effects & leader.effects)
-    return len(fit.members) == len(leader.members) == shared + 1
 
 
 def _polish(final: Search, leader: Fit, finished: set[Names]) -> None:
@@ -183,11 +165,15 @@ def _polish(final: Search, leader: Fit, finished: set[Names]) -> None:
         finished: effects and sites of the sets that were fitted so before; grows.
     """
     problem = final.prepared.problem
-    rivals, smaller = (
+    late, rivals, smaller = (
         [f for f in found if f.effects not in finished]
-        for found in (_rivals(final, leader), _smaller(final, leader))
+        for found in (
+            late_elsewhere(final.fits.values(), leader),
+            _rivals(final, leader),
+            _smaller(final, leader),
+        )
     )
-    for f in (leader, *rivals[:_RIVALS], *smaller[:1]):
+    for f in (leader, *late[:1], *rivals[:_RIVALS], *smaller[:1]):
         if f.effects in finished or (f is leader and not _shaped(final, f)):
             continue
         finished.add(f.effects)

@@ -67,12 +67,14 @@ def straightened(
 def shows_own_step(search: Search, fit: Fit) -> bool:
     """Whether recordings show a coarser step than was halved to, as those of a simulation.
 
-    The share of what a finer step changes is then as far below none as is looked for.
+    The share of what a finer step changes is then as far below none as is looked for. Far from the
+    recordings it makes up for anything.
     """
     problem = search.prepared.problem
     own = float(problem.machine.model.opt.timestep)
     halved = problem.windows.timestep < step_for(search, fit, own)
-    return halved and not problem.machine.impacts and fit.hypothesis.numerics <= SHARE_BOUNDS[0]
+    told = fit.rms < ROUGH and not problem.machine.impacts
+    return halved and told and fit.hypothesis.numerics <= SHARE_BOUNDS[0]
 
 
 def finer_step(

@@ -93,6 +93,11 @@ class Fit:
         """Effects and sites as they are, whatever an effect contains (`names`)."""
         return frozenset(c.key for c in self.members)
 
+    def exchanges_one(self, other: "Fit") -> bool:
+        """Whether the set differs from another of its size in one member."""
+        shared = len(self.effects & other.effects)
+        return len(self.members) == len(other.members) == shared + 1
+
     @cached_property
     def linear_rms(self) -> tuple[float, ...]:
         """What each member does, by the slope at all that it is, as an rms in sigma.
