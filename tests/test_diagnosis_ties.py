@@ -25,6 +25,20 @@ XML = """<mujoco><option timestep="0.002" integrator="implicitfast" gravity="0 0
 <geom size=".03" pos="0 0 -.3" mass="1"/></body></worldbody>
 <equality><joint joint1="right" joint2="left" polycoef="0 -1 0 0 0" solref="{tau} 1"/></equality>
 <actuator><motor name="grip" joint="left"/></actuator></mujoco>"""
+JOINT = '<joint joint1="right" joint2="left" polycoef="0 -1 0 0 0"'
+ROPE = '<tendon tendon1="rope"'  # left + right stays as it is
+TWO = '<tendon tendon1="r" tendon2="l" polycoef="0 -2 0 0 0"'
+TENDONS = """<tendon><fixed name="rope"><joint joint="left" coef="1"/>
+<joint joint="right" coef="1"/></fixed><fixed name="r"><joint joint="right" coef="2"/></fixed>
+<fixed name="l"><joint joint="left" coef="1"/></fixed>
+<spatial name="space"><site site="a"/><site site="b"/></spatial></tendon>"""
+
+
+def tied(tau: float, by: str) -> str:
+    """The machine with another tie."""
+    xml = XML.format(tau=tau).replace(JOINT, by).replace("<equality>", TENDONS + "<equality>")
+    sites = '<worldbody><site name="a" pos=".1 0 0"/><body><site name="b" pos="0 0 -.2"/>'
+    return xml.replace("<worldbody><body>", sites)
 
 
 @pytest.mark.parametrize("tau", [0.015, 0.02])
@@ -49,9 +63,26 @@ def test_joints_yield_where_their_tie_is_slow() -> None:
     assert not loops.released({"right"})
 
 
-def exact(tau: float) -> Evidence:
+@pytest.mark.parametrize("by", [ROPE, TWO])
+def test_fixed_tendons_tie_two_joints_as_an_equality_of_joints_does(by: str) -> None:
+    for tau, yields in ((0.004, set()), (0.02, {"right"})):
+        loops = Loops.of(mujoco.MjModel.from_xml_string(tied(tau, by)))
+        assert loops.mirrored == {"right": "left"}
+        assert loops.yielding == yields
+
+
+@pytest.mark.parametrize(
+    "by", ['<tendon tendon1="space"', '<tendon tendon1="l"',
+           '<tendon tendon1="r" tendon2="l" polycoef="0 -2 1 0 0"']
+)  # fmt: skip
+def test_tendons_in_space_of_one_joint_or_curved_tie_nothing_in_proportion(by: str) -> None:
+    loops = Loops.of(mujoco.MjModel.from_xml_string(tied(0.02, by)))
+    assert (loops.mirrored, loops.yielding) == ({}, frozenset())
+
+
+def exact(tau: float, by: str = JOINT) -> Evidence:
     """What the model itself does at a finer step, of a quarter of a millisecond."""
-    plant = mujoco.MjModel.from_xml_string(XML.format(tau=tau))
+    plant = mujoco.MjModel.from_xml_string(tied(tau, by))
     plant.opt.timestep = STEP
     data, rng = mujoco.MjData(plant), np.random.default_rng(1)
     time = EVERY * np.arange(600)
@@ -65,7 +96,7 @@ def exact(tau: float) -> Evidence:
         time, qpos={"left": q[:, 0], "right": q[:, 1]}, ctrl={"grip": u}
     )
     return make_evidence(
-        Model.from_xml(XML.format(tau=tau)), [recording], noise={"qpos": SIGMA}, threads=1,
+        Model.from_xml(tied(tau, by)), [recording], noise={"qpos": SIGMA}, threads=1,
         effects=[CATALOGUE["dry_friction"]],
     )  # fmt: skip
 
@@ -78,8 +109,9 @@ def left(problem: Problem) -> float:
     return float(np.sqrt((r**2).sum() / p.dof))
 
 
-def test_windows_begin_with_a_slow_tie_as_open_as_it_was() -> None:
-    evidence = exact(0.02)
+@pytest.mark.parametrize("by", [JOINT, ROPE])
+def test_windows_begin_with_a_slow_tie_as_open_as_it_was(by: str) -> None:
+    evidence = exact(0.02, by)
     problem = windows_of(evidence, 12, STEP, everything=True)
     assert not problem.loops
     assert left(problem) == pytest.approx(1.0, abs=0.05)

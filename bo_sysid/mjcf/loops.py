@@ -109,11 +109,11 @@ class Loops:
         """Yield the equalities that tie two joints in proportion, who follows, and whom."""
         model = self.model
         for e in np.flatnonzero(model.eq_active0).tolist():
-            if int(model.eq_type[e]) != int(mujoco.mjtEq.mjEQ_JOINT) or model.eq_obj2id[e] < 0:
+            tied = _proportional(model, e)
+            if len(tied) != 2:
                 continue
-            one, two = (model.joint(int(j)).name for j in (model.eq_obj1id[e], model.eq_obj2id[e]))
-            in_proportion = not model.eq_data[e, 2:5].any()
-            if in_proportion and (one in self.joints) != (two in self.joints):
+            one, two = (model.joint(j).name for j in tied)
+            if (one in self.joints) != (two in self.joints):
                 yield (e, one, two) if one in self.joints else (e, two, one)
 
     def released(self, joints: Collection[str]) -> "Loops":
@@ -217,6 +217,30 @@ def tied_by(model: mujoco.MjModel, joint: str) -> str:
         if wraps[first : first + int(model.tendon_num[t])].any():
             return f"the tendon {model.tendon(t).name}"
     return ""
+
+
+def _proportional(model: mujoco.MjModel, e: int) -> list[int]:
+    """Return the joints whose positions an equality ties by one linear equation, else nothing.
+
+    A joint equality is one; so is one of fixed tendons, as of the rope of a winch.
+    """
+    kind, pair = int(model.eq_type[e]), (int(model.eq_obj1id[e]), int(model.eq_obj2id[e]))
+    slope = float(model.eq_data[e, 1])
+    if pair[1] >= 0 and model.eq_data[e, 2:5].any():
+        return []
+    if kind == int(mujoco.mjtEq.mjEQ_JOINT):
+        return list(pair) if pair[1] >= 0 else []
+    if kind != int(mujoco.mjtEq.mjEQ_TENDON):
+        return []
+    shares = np.zeros(model.njnt)
+    for tendon, times in zip(pair, (1.0, -slope), strict=True):
+        if tendon < 0:
+            continue
+        own = slice(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
+        if (model.wrap_type[own] != int(mujoco.mjtWrap.mjWRAP_JOINT)).any():
+            return []
+        np.add.at(shares, model.wrap_objid[own], times * model.wrap_prm[own])
+    return np.flatnonzero(shares).tolist()
 
 
 def _bare(model: mujoco.MjModel) -> mujoco.MjModel:
