@@ -8,8 +8,16 @@ import pytest
 from diagnosis_helpers import SIGMA, arm, candidate, posed, record
 
 from bo_sysid.diagnosis.answer import explain as explaining
-from bo_sysid.diagnosis.answer.explain import _better, _learned, _placed, _refuted
+from bo_sysid.diagnosis.answer.explain import (
+    _better,
+    _learned,
+    _outdone,
+    _placed,
+    _refuted,
+    explain,
+)
 from bo_sysid.diagnosis.answer.prediction_error import PredictionError
+from bo_sysid.diagnosis.answer.sessions import by_recording
 from bo_sysid.diagnosis.answer.unexplained import Unexplained, unexplained_of
 from bo_sysid.diagnosis.search.locate import Located
 from bo_sysid.diagnosis.search.search import Search
@@ -28,7 +36,7 @@ from bo_sysid.diagnosis.unexplained.unknown import (
 )
 from bo_sysid.diagnosis.windows.evidence import make_evidence
 from bo_sysid.diagnosis.windows.linear import linearise
-from bo_sysid.diagnosis.windows.problem import ROUGH
+from bo_sysid.diagnosis.windows.problem import ROUGH, Problem
 from bo_sysid.diagnosis.windows.projection import project
 from bo_sysid.diagnosis.windows.reference_motion import smoothed
 from bo_sysid.diagnosis.windows.windowing import prepare
@@ -297,6 +305,57 @@ def test_names_go_where_a_law_or_nothing_forecasts_better(magnet, judged) -> Non
     assert not _refuted(error, some, nominal, law, between)
     assert _refuted(error, far, nominal, law, between)
     assert not _refuted(error, far, nominal, law, None)
+
+
+@pytest.mark.parametrize(("rms", "kept"), [(2.0, True), (20.0, False)])
+def test_names_far_off_go_where_a_law_alone_forecasts_far_better(
+    magnet, monkeypatch: pytest.MonkeyPatch, rms: float, kept: bool
+) -> None:
+    """A soft stop was named rotor and spring: no law predicts what such names leave."""
+    ready, nominal = magnet
+    rubs = candidate(ready.problem.machine, "dry_friction", "elbow")
+    hypothesis = replace(nominal.hypothesis, members=(rubs,), x=(np.array([0.3]),))
+    named = replace(
+        nominal, hypothesis=hypothesis, rms=rms, covariance=np.eye(1) * 1e-6,
+        jacobian=nominal.residual[..., None],
+    )  # fmt: skip
+    made = make_evidence(
+        arm(), ready.problem.recordings, effects=[rubs.effect], noise={"qpos": SIGMA}, threads=1
+    )
+    settled_on = Decision(named, nominal, (named, nominal), np.array([1.0, 0.0]), ())
+    located = Located(settled_on, ready, Search.on(ready, [rubs], 1, None), made)
+
+    def seen(problem: Problem, decision: Decision) -> Unknown:
+        return examine(problem, decision) if not decision.best.members else Unknown(False, 0.04)
+
+    monkeypatch.setattr(explaining, "examine", seen)
+    monkeypatch.setattr(
+        explaining, "_agreed", lambda located, fit: (fit, by_recording(ready.problem, nominal))
+    )
+    outcome = explain(located)
+    assert bool(outcome.fit.members) is kept
+    assert outcome.unexplained.flagged is not kept
+    if not kept:
+        assert (outcome.unexplained.site, outcome.unexplained.depends_on) == (
+            "elbow",
+            ("position",),
+        )
+        assert outcome.repaired is outcome.law_alone
+
+
+def test_names_far_off_stay_where_a_law_alone_is_not_far_better(magnet, judged) -> None:
+    """Of a real slide a law alone leaves .69 of what three right names leave."""
+    nominal, (error, law) = magnet[1], judged
+    rubs = candidate(magnet[0].problem.machine, "dry_friction", "elbow")
+    bad = replace(nominal.hypothesis, members=(rubs,), x=(np.array([0.3]),))
+    near = replace(law, x=tuple(0.9 * x for x in law.x))
+    assert error(law) < 0.25 * error(bad)
+    assert 0.25 * error(near) < error(law) < error(near)
+    assert _outdone(error, replace(nominal, hypothesis=bad, rms=20.0), law)
+    assert not _outdone(error, replace(nominal, hypothesis=near, rms=20.0), law)
+    assert not _outdone(error, replace(nominal, hypothesis=bad, rms=ROUGH), law)
+    assert not _outdone(error, replace(nominal, hypothesis=bad, rms=20.0), None)
+    assert not _outdone(None, replace(nominal, hypothesis=bad, rms=20.0), law)
 
 
 def test_a_law_that_forecasts_worse_than_none_is_left_out(magnet, judged) -> None:
