@@ -97,8 +97,14 @@ def test_a_medium_is_told_with_both_of_its_numbers() -> None:
     density = Quantity(20.0, "kg/m³", (-30.0, 70.0))
     viscosity = {"viscosity": Quantity(15.6, "Pa s", (15.4, 15.8))}
     assert sentence(drag, density, 0.0, 0.0, viscosity) == (
-        "The machine moves in a medium denser than the model's by 20 ± 50 kg/m³, "
-        "and more viscous by 15.6 ± 0.2 Pa s."
+        "The machine moves in a medium denser than the model's by 20 ± 50 kg/m³, which may be "
+        "nothing, and more viscous by 15.6 ± 0.2 Pa s."
+    )
+    water = Quantity(1000.0, "kg/m³", (990.0, 1010.0))
+    viscosity = {"viscosity": Quantity(0.005, "Pa s", (-0.003, 0.013))}
+    assert sentence(drag, water, 0.0, 0.0, viscosity) == (
+        "The machine moves in a medium denser than the model's by 1000 ± 10 kg/m³, "
+        "and more viscous by 0.005 ± 0.008 Pa s, which may be nothing."
     )
 
 

@@ -56,7 +56,9 @@ def sentence(
         size = amount(quantity)
         if any(words in text for both in _OPPOSITE.items() for words in both):
             size = size.removeprefix("+")
-        more = {name: amount(q) for name, q in details.items()}
+        if any(f"{{{name}}}" in text for name in details):  # each of several may be nothing
+            size += _may_be_nothing(quantity)
+        more = {name: amount(q) + _may_be_nothing(q) for name, q in details.items()}
         more["details"] = " and ".join(details)
         between = f"{quantity.interval[0]:.4g} to {quantity.interval[1]:.4g}"
         text = text.format_map({**more, "site": site, "value": size, "interval": between})
@@ -68,6 +70,12 @@ def sentence(
         at = ", ".join(f"{round(d, 6) or 0.0:.3g}" for d in candidate.shapes)  # in whole um
         text += f" It is taken to lie at ({at}) m in the frame of {site}."
     return text[0].upper() + text[1:]
+
+
+def _may_be_nothing(quantity: Quantity) -> str:
+    """Return the words that an amount may be nothing, where its interval holds that."""
+    low, high = quantity.interval
+    return ", which may be nothing" if low <= 0 <= high else ""
 
 
 def definite(noun: str) -> str:
