@@ -3,7 +3,7 @@
 from bo_sysid.diagnosis.search.moves import carried, has_friction
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.variants import creep
-from bo_sysid.diagnosis.search.window_lengths import windows_of
+from bo_sysid.diagnosis.search.window_lengths import TRACTABLE, windows_of
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.problem import ROUGH
@@ -73,7 +73,7 @@ def shows_own_step(search: Search, fit: Fit) -> bool:
     problem = search.prepared.problem
     own = float(problem.machine.model.opt.timestep)
     halved = problem.windows.timestep < step_for(search, fit, own)
-    told = fit.rms < ROUGH and not problem.machine.impacts
+    told = fit.rms < TRACTABLE and not problem.machine.impacts
     return halved and told and fit.hypothesis.numerics <= SHARE_BOUNDS[0]
 
 
