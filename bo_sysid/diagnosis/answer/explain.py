@@ -79,7 +79,7 @@ def explain(located: Located) -> Outcome:
     nominal = decision.nominal
     refitted = _stepped(located, nominal.hypothesis, nominal.rms, error)
     alone, found = _law_alone(located, error, rivals=unknown.flagged)
-    if not touching and _outdone(error, fit, alone):
+    if unknown.law is None and not touching and _outdone(error, fit, alone):
         fit, sessions = nominal, by_recording(problem, nominal)
         unexplained = unexplained_of(found)
         repaired, unexplained = _better(error, refitted, alone, unexplained)

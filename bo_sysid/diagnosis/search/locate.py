@@ -85,12 +85,14 @@ def locate(
     located = _located(evidence, on_stage, doing)
     if by_added_joints(located):
         on_stage(f"without added joints: {_in_words(located.search.best)}")
-        located = _located(evidence.rigid, on_stage, doing)
+        evidence = evidence.rigid
+        located = _located(evidence, on_stage, doing)
     leaders = (located.search.best, located.decision.best)
     if any(shows_own_step(located.search, f) for f in leaders):
         on_stage("at the model's own time step, which the recordings show")
         coarser = _located(replace(evidence, simulated=True), on_stage, doing)
-        located = min(located, coarser, key=lambda one: one.decision.best.rms)
+        if not by_added_joints(coarser):
+            located = min(located, coarser, key=lambda one: one.decision.best.rms)
     return located
 
 
@@ -99,7 +101,7 @@ def by_added_joints(located: Located) -> bool:
 
     What leads may not be what is answered, whose members must be needed. Nor need either have such
     a joint where the set has for which the windows were prepared: where that joint begins is free
-    in all of them then, and nothing at all left 6 sigma of the 50 that a servo's friction left.
+    in all of them then. Nothing at all left 6 sigma there of a servo's friction, and 55 without.
     """
     leading, answered = located.search.best, located.decision.best
     if follows_anything(leading) or follows_anything(answered):

@@ -19,7 +19,7 @@ _HALVINGS, _HALVINGS_IN_CONTACT = 3, 2
 _CURVED = 0.05  # share of what is left, by which half a step may miss its share of the correction
 _STRAIGHTER = 0.5  # of what half a step missed, that remains at half: by the square it is a quarter
 _WORSE = 1.02  # times what was left, from which a finer step is worse
-_BRISTLES_DIVISION = 2  # the same, where friction preslides
+_BRISTLES_DIVISION = 2  # by what a time step is divided where friction preslides
 _PRESLIDING_SHOWS = 1.05  # [sigma] of a set that lacks it, from which it is searched so
 
 
